@@ -20,7 +20,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power yardstick data-set mutants fuzz soak lint release setup clean help
+.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power yardstick data-set mutants fuzz soak endurance lint release compare-release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -73,6 +73,9 @@ fuzz: setup  ## harm inputs and see that reading holds: SECONDS=3600 SEED=1 FUZZ
 soak: setup  ## calibrate beside a busy machine, nodes standing still: SOAK_ARGS="--minutes 10"
 	@$(BIN)/python scripts/soak.py $(SOAK_ARGS)
 
+endurance: setup  ## calibrate for hours with kills, full disks, clock jumps: ENDURANCE_ARGS="--minutes 10"
+	@$(BIN)/python scripts/endurance.py $(ENDURANCE_ARGS)
+
 lint: setup  ## style, types, and which package may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -83,6 +86,9 @@ release: setup  ## check, build, try with each Python, describe: out/release; RE
 	@$(BIN)/python -c 'import build, cyclonedx_py' 2>/dev/null || $(BIN)/pip install -q \
 		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[release]'
 	@$(BIN)/python scripts/release.py $(RELEASE_ARGS)
+
+compare-release: setup  ## do two versions solve golden measurements alike? RELEASES="1.0.0 HEAD"
+	@nice $(BIN)/python scripts/compare_release.py $(RELEASES)
 
 setup:  ## make or refresh .venv (PYTHON=python3.12 chooses another Python)
 	@PYTHON="$(PYTHON)" scripts/setup.sh $(ROS_DISTRO)

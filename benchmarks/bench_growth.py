@@ -1,7 +1,7 @@
 """How processor time and memory grow with the size of a problem, from usual to large ones.
 
 Every row is solved in a process of its own, so that the peak is that of this problem, imports
-included: ``python benchmarks/run.py growth``, the table of docs/evidence_planning.md.
+included: ``python benchmarks/run.py growth``, the table of docs/evidence.md.
 """
 
 import multiprocessing

@@ -7,7 +7,7 @@ stated of them: the axis, its motions, the linear axes' scales and squareness, w
 stand; in two cases lobes of the probe, with 1 um of play in the linear axes as well. Of each case:
 how many of the 95 % intervals hold the truth, of each curve in the mean of its angles, and of the
 lines one by one; with --whole through the whole engine, and how often the verdict was ok. Figures
-of it are in docs/evidence_methods.md.
+of it are in docs/evidence.md.
 """
 
 from __future__ import annotations

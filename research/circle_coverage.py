@@ -10,7 +10,7 @@ by 0.07 um radially and axially, which is what is stated; in the last cases they
 of 1.5 um, which was not stated. Of each case: how many of the 95 % intervals of ECC hold the
 truth, and how often the verdict was ok. With --error-motion nothing is stated of the circle, and
 the stations leave it by an error motion along x and y that the solver has to estimate: coverage by
-its size. Figures of it are in docs/evidence_methods.md.
+its size. Figures of it are in docs/evidence.md.
 """
 
 from __future__ import annotations

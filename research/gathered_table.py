@@ -44,7 +44,7 @@ SIZES_STD = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0)
 """Of what the mirror shows: in standard deviations of a reading across the beam."""
 SIZES_PLATE_UM = (0.3, 0.5, 1.0)
 LIMIT = 2.5
-PAGE = ROOT / "docs" / "evidence_methods.md"
+PAGE = ROOT / "docs" / "evidence.md"
 END = "<!-- end -->\n"
 
 

@@ -6,7 +6,7 @@
 Knows nothing of how the plan was made: it reads plan.yaml, draws stations, targets and lengths
 with what is stated there, solves them as the solver of that configuration does, and counts the
 runs that end ok with U (k = 2, less the mean) within the goal. A table whose error motion
-plan.yaml leaves to be estimated has none here. Figures of it are in docs/evidence_planning.md.
+plan.yaml leaves to be estimated has none here. Figures of it are in docs/evidence.md.
 """
 
 from __future__ import annotations

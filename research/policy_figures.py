@@ -5,7 +5,7 @@
 Every run measures with a tracer of its own place, targets and noise, by the policy itself, with
 nominal geometry from the plan alone; lengths are exact distances with noise, of a table without
 deviations. At the end those of the result are compared with their U, and U with the goal. All in
-docs/evidence_planning.md.
+docs/evidence.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Both risks of a quick check by laser tracer, from simulated tables to the verdict.
 
 A plan of the fewest lengths is made for an earlier result; then tables are drawn, measured with
-it, solved by the solver and judged. The figures of docs/evidence_planning.md:
+it, solved by the solver and judged. The figures of docs/evidence.md:
 
     python research/quick_check_risks.py --runs 2000
 """

@@ -6,7 +6,7 @@ Simulated runs with an own generator: a table with deviations of a few arcsec, a
 its axis; targets low around it, in the paper's block above it, each measured from everywhere, or a
 plan of few lengths as `rotcal plan tracer` makes them; lengths with 0.2 um, the machine with 1 um.
 Of each case: how many of the 95 % intervals of ECC hold the truth, how often a jump was found, and
-how often the verdict was ok. Figures of it are in docs/evidence_methods.md.
+how often the verdict was ok. Figures of it are in docs/evidence.md.
 """
 
 from __future__ import annotations

@@ -30,6 +30,7 @@ PAGES = (
 )
 """Pages that live beside what they are about, and belong to the site."""
 MADE = {
+    "messages.md": ("messages_page.py", "page"),
     "settings.md": ("settings_page.py", "page"),
     "troubleshooting.md": ("troubleshooting.py", "page"),
     "result.schema.json": ("result_schema.py", "text"),

@@ -3,6 +3,7 @@
 
     make release                             # of a tagged, clean checkout, into out/release
     make release RELEASE_ARGS=--rehearse     # of any commit, however unfinished
+    python scripts/release.py --set 1.0.1    # writes a version, and today, wherever they stand
 
 Whatever is wrong ends it with a sentence and exit code 1, before anything stands in out/release.
 """
@@ -19,10 +20,12 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
-from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "out" / "release"
@@ -34,8 +37,19 @@ MANIFESTS = (
     *(ROOT / "packages" / name / "package.xml" for name in BESIDE),
 )
 CHANGELOGS = tuple(path.with_name("CHANGELOG.rst") for path in MANIFESTS)
+STATED = {
+    ROOT / "rotcal_ros" / "__init__.py": r'^__version__ = "(.+)"$',
+    ROOT / "pixi.toml": r'^version = "(.+)"$',
+    **{ROOT / "packages" / name / "setup.py": r'^VERSION = "(.+)"$' for name in BESIDE},
+    **dict.fromkeys(MANIFESTS, r"^  <version>(.+)</version>$"),
+    **dict.fromkeys(CHANGELOGS, r"^(\d+\.\d+\.\d+) \(.+\)$"),
+}
+"""File -> the line that states the version; the first one counts."""
+HEADING = re.compile(r"^\d+\.\d+\.\d+ \(.+\)\n-+$", re.MULTILINE)
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 UNTRIED = "not on this machine"
+UV = Path(sys.executable).with_name("uv")
+"""Makes environments in seconds; the lock has it."""
 GOLDEN = ROOT / "test" / "golden" / "tracer" / "table"
 SPEAKS = """
 import json, sys
@@ -44,6 +58,25 @@ apart = [abs(a - b) for a, b in zip(*(r["deviations"]["ECC"] for r in (stored, s
 assert solved["verdict"] == stored["verdict"], solved["verdict"]
 assert max(apart) < 1e-12, f"deviations differ by {max(apart)} rad"
 """
+LOADS = """
+import sys
+from importlib.metadata import distribution
+for name in sys.argv[1:]:
+    for point in distribution(name).entry_points:
+        try:
+            point.extras or point.load()
+        except ModuleNotFoundError as error:
+            of_ros = error.name == "rclpy" or error.name.endswith(("_msgs", "_interfaces"))
+            assert of_ros, error
+"""
+README = ROOT / "README.md"
+OF_README = {
+    "out/demo/bag": "tracer_six/bag",
+    "out/demo/result.json": "tracer_six/result.json",
+    "out/second/result.json": "tracer_six/table/result.json",
+    "out/ball_plate_demo/bag": "ball_plate/bag",
+}
+"""What the README's commands are given -> the golden file that stands in for it."""
 
 
 class UnfitError(Exception):
@@ -54,8 +87,13 @@ def main() -> int:
     """Check, build, try, describe; print where it all is."""
     parser = argparse.ArgumentParser(description="Make a release.")
     parser.add_argument("--rehearse", action="store_true", help="of a commit that is no release")
-    rehearsed = parser.parse_args().rehearse
+    parser.add_argument("--set", metavar="VERSION", help="write this version and stop")
+    asked = parser.parse_args()
+    rehearsed = asked.rehearse
     try:
+        if asked.set:
+            set_version(asked.set)
+            return 0
         version = agreed_version()
         if not rehearsed:
             check_finished(version)
@@ -72,15 +110,34 @@ def main() -> int:
 
 def agreed_version() -> str:
     """Return the one version that package, manifests and changelogs state."""
-    stated = re.search(r'__version__ = "(.+)"', (ROOT / "rotcal_ros/__init__.py").read_text())
-    versions = {"rotcal_ros/__init__.py": stated[1] if stated else ""}
-    for path in MANIFESTS:
-        versions[_name(path)] = ElementTree.parse(path).findtext("version") or ""
-    for path in CHANGELOGS:
-        versions[_name(path)] = newest_heading(path)[0]
+    found = {p: re.search(line, p.read_text(), re.MULTILINE) for p, line in STATED.items()}
+    versions = {_name(path): match[1] if match else "" for path, match in found.items()}
     if len(set(versions.values())) != 1:
         raise UnfitError("versions differ: " + ", ".join(f"{k} {v}" for k, v in versions.items()))
     return next(iter(versions.values()))
+
+
+def set_version(version: str) -> None:
+    """Write a version wherever one is stated, and the day into the changelogs."""
+    for path in CHANGELOGS:
+        newest, date = newest_heading(path)
+        if newest != version and date != "unreleased":
+            raise UnfitError(
+                f"{_name(path)} begins with {newest} of {date}: begin a section "
+                f"'{version} (unreleased)' there"
+            )
+    for path, line in STATED.items():
+        if path not in CHANGELOGS:
+            write = partial(_with_version, version=version)
+            path.write_text(re.sub(line, write, path.read_text(), count=1, flags=re.MULTILINE))
+    heading = f"{version} ({datetime.now(timezone.utc).date()})"
+    for path in CHANGELOGS:
+        whole = re.sub(HEADING, f"{heading}\n{'-' * len(heading)}", path.read_text(), count=1)
+        path.write_text(whole)
+
+
+def _with_version(line: re.Match[str], version: str) -> str:
+    return line[0].replace(line[1], version)
 
 
 def newest_heading(changelog: Path) -> tuple[str, str]:
@@ -124,13 +181,15 @@ def release(version: str, work: Path) -> Path:
         ),
         strict=True,
     )
-    trials = {wheels[0].name: wheels[:1], archives[0].name: archives[:1], "all wheels": wheels}
+    core, *others = wheels
+    trials = {core.name: [core], archives[0].name: [archives[0]]}
+    trials |= {wheel.name: [core, wheel] for wheel in others} | {"all wheels": wheels}
     tried = {
         f"{python} {what}": try_out(python, packages, work, built)
         for python in PYTHONS
         for what, packages in trials.items()
     }
-    if not any(ok == "passed" for ok in tried.values()):
+    if not any(ok.startswith("passed") for ok in tried.values()):
         raise UnfitError(f"none of Python {', '.join(PYTHONS)} is on this machine")
     with tarfile.open(built / f"rotcal_msgs-{version}.tar.gz", "w:gz") as messages:
         messages.add(source / "msg_defs", f"rotcal_msgs-{version}")
@@ -142,7 +201,9 @@ def release(version: str, work: Path) -> Path:
 
 def build_package(name: str, source: Path, built: Path, work: Path) -> tuple[Path, Path]:
     """Return the wheel and the source archive of a package, after a look at what they hold."""
-    _run(sys.executable, "-m", "build", "--quiet", "--outdir", built, source, cwd=work)
+    print(f"building {name}", flush=True)
+    build = (sys.executable, "-m", "build", "--installer", "uv", "--quiet")
+    _run(*build, "--outdir", built, source, cwd=work)
     wheel, archive = next(built.glob(f"{name}-*.whl")), next(built.glob(f"{name}-*.tar.gz"))
     check_contents(name, wheel, archive, source)
     return wheel, archive
@@ -173,24 +234,46 @@ def try_out(python: str, packages: Sequence[Path], work: Path, built: Path) -> s
     if interpreter is None:
         return UNTRIED
     print(f"Python {python}: {', '.join(package.name for package in packages)}", flush=True)
-    place = work / "try"
+    begin, place = time.monotonic(), work / "try"
     shutil.rmtree(place, ignore_errors=True)
-    _run(interpreter, "-m", "venv", place)
+    _run(UV, "venv", "--quiet", "--no-project", "--python", interpreter, place)
     inside = place / "bin" / "python"
     pins = ("-c", ROOT / "constraints.txt")
-    _run(inside, "-m", "pip", "-q", "--disable-pip-version-check", "install", *pins, *packages)
+    _run(UV, "pip", "install", "--quiet", "--python", inside, *pins, *packages)
     program = place / "bin" / "rotcal"
     if "cannot be loaded" in _output(program, "--help", cwd=place):
         raise UnfitError(f"Python {python}: a verb cannot be loaded")
+    _run(inside, "-c", LOADS, *(package.name.split("-")[0] for package in packages), cwd=place)
     solved = place / "solved.json"
     solve = (program, "solve", GOLDEN / "table.csv", "--setup", GOLDEN / "setup.yaml", "--json")
     solved.write_text(_output(*solve, cwd=place))
     _run(inside, "-c", SPEAKS, GOLDEN / "result.json", solved, cwd=place)
+    if len(packages) == len(BESIDE) + 1:
+        run_readme(place)
     bill = built / "sbom.cdx.json"
     if packages[0].suffix == ".whl" and not bill.exists():
         tool = Path(sys.executable).with_name("cyclonedx-py")
         _run(tool, "environment", "--output-reproducible", "-o", bill, inside)
-    return "passed"
+    return f"passed in {time.monotonic() - begin:.0f} s"
+
+
+def run_readme(place: Path) -> None:
+    """Run what the README shows without ROS, with golden files in place of a demo's."""
+    for name, golden in OF_README.items():
+        source, target = ROOT / "test" / "golden" / golden, place / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
+    shutil.copytree(ROOT / "examples" / "data", place / "examples" / "data")
+    for words in readme_commands(README.read_text()):
+        _run(place / "bin" / words[0], *words[1:], cwd=place)
+
+
+def readme_commands(text: str) -> Iterator[list[str]]:
+    """Yield the commands and the lines of Python, those without ROS."""
+    for line in re.findall(r"^    (rotcal (?!run|doctor).+)$", text, re.MULTILINE):
+        yield line.partition("#")[0].split()
+    lines = re.findall(r"^    ((?:import|result|print).+)$", text, re.MULTILINE)
+    yield ["python", "-c", "\n".join(lines)]
 
 
 def find_python(version: str) -> str | None:
@@ -243,6 +326,8 @@ def _environment() -> dict[str, str]:
     """Return the environment without what points at other Pythons and at this checkout."""
     hidden: Iterable[str] = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH")
     kept = {name: text for name, text in os.environ.items() if name not in hidden}
+    if "PIP_CERT" in os.environ:  # as scripts/setup.sh
+        kept["SSL_CERT_FILE"] = os.environ["PIP_CERT"]
     return kept | {"OMP_NUM_THREADS": "1"}
 
 

@@ -27,7 +27,7 @@ from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.evaluation.budget import WHOLE
 from rotcal_ros.foundation.identity import Instruments
-from rotcal_ros.foundation.language import FOLDER, folders, language
+from rotcal_ros.foundation.language import FOLDER, catalogue_folders, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
 from rotcal_ros.foundation.plugins import METHODS, provider
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
@@ -211,5 +211,5 @@ def update(folder: Path, code: str) -> None:
 
 if __name__ == "__main__":
     for code in sys.argv[1:] or [path.stem for path in FOLDER.glob("*.po")]:
-        for folder in folders():
+        for folder in catalogue_folders():
             update(folder, code)

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import runpy
+import subprocess
 import sys
 from collections import defaultdict
 from configparser import ConfigParser
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from catkin_pkg.changelog import get_changelog_from_path
 from catkin_pkg.package import parse_package
 from packaging.markers import Marker
 from packaging.utils import canonicalize_name
@@ -21,6 +23,7 @@ import rotcal_ros
 from rotcal_ros.foundation.middleware import SUPPORTED
 
 ROOT = Path(__file__).parents[1]
+RELEASE = runpy.run_path(str(ROOT / "scripts" / "release.py"))
 BESIDE = sorted(path.parent for path in ROOT.glob("packages/*/package.xml"))
 """The folders of the packages beside the core."""
 with_all = pytest.mark.skipif(
@@ -105,10 +108,46 @@ def test_the_licence_is_the_apache_licence():
     assert "Version 2.0, January 2004" in text
 
 
+def test_every_place_that_states_a_version_states_this_one():
+    assert RELEASE["agreed_version"]() == rotcal_ros.__version__
+
+
 @pytest.mark.parametrize("changelog", CHANGELOGS, ids=lambda path: path.parent.name)
-def test_the_changelog_begins_with_this_version(changelog):
-    versions = re.findall(r"^(\d+\.\d+\.\d+) \(", changelog.read_text(), re.M)
-    assert versions[0] == rotcal_ros.__version__
+def test_the_changelog_has_the_form_of_catkin_on_its_day(changelog, tmp_path):
+    text = changelog.read_text().replace("(unreleased)", "(2026-11-30)")
+    (tmp_path / "CHANGELOG.rst").write_text(text)
+    read = get_changelog_from_path(str(tmp_path), changelog.parent.name)
+    version, _, content = next(iter(read.foreach_version(reverse=True)))
+    assert (version, *RELEASE["newest_heading"](changelog)[:1]) == (rotcal_ros.__version__,) * 2
+    assert content
+
+
+def test_a_version_is_written_wherever_one_is_stated(tmp_path):
+    stated = RELEASE["STATED"]
+    for path in stated:
+        copy = tmp_path / path.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_text(path.read_text())
+    script = tmp_path / "scripts" / "release.py"
+    script.parent.mkdir()
+    script.write_text((ROOT / "scripts" / "release.py").read_text())
+    run = (sys.executable, script, "--set", "3.2.1")
+    subprocess.run((*run[:-1], rotcal_ros.__version__), check=True)  # a day for each changelog
+    refused = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert refused.returncode == 1
+    assert "begin a section '3.2.1 (unreleased)' there" in refused.stderr
+    for path in CHANGELOGS:
+        copy = tmp_path / path.relative_to(ROOT)
+        begun = f"3.2.1 (unreleased)\n------\n* New.\n\n{rotcal_ros.__version__} ("
+        copy.write_text(copy.read_text().replace(f"{rotcal_ros.__version__} (", begun, 1))
+    subprocess.run(run, check=True)
+    texts = {path: (tmp_path / path.relative_to(ROOT)).read_text() for path in stated}
+    found = {path: re.search(line, texts[path], re.M)[1] for path, line in stated.items()}
+    assert set(found.values()) == {"3.2.1"}
+    for path in CHANGELOGS:
+        newest, earlier = RELEASE["HEADING"].findall(texts[path])[:2]
+        assert newest.startswith("3.2.1 (2")
+        assert earlier.startswith(f"{rotcal_ros.__version__} (2")
 
 
 @with_all

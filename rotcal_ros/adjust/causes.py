@@ -36,7 +36,7 @@ from rotcal_ros.adjust.robust_start import robust_start
 from rotcal_ros.adjust.scattering import FLOOR
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
-from rotcal_ros.foundation.language import listed, phrase
+from rotcal_ros.foundation.language import join_texts, phrase
 
 TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
@@ -144,7 +144,7 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     if apart >= 2.0 * np.log(ALIKE) or not best.fit.influenced(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
-    chosen = Explanation(best.describe(), listed(()), none, nothing, 0.0, 0.0, 0.0 * change)
+    chosen = Explanation(best.describe(), join_texts(()), none, nothing, 0.0, 0.0, 0.0 * change)
     rival = chosen._replace(what=other.describe(), support=-0.5 * apart, change=change)
     return replace(best, contests=(*best.contests, Contest(chosen, (rival,))))
 

@@ -17,7 +17,7 @@ from rotcal_ros.adjust.judgement import Blame
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import EstimatedFactors
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, phrase
 
 SIZE_ROUNDS: Final = 5
 """Solutions of which each is weighed by the size of a scatter that the one before makes likely."""
@@ -178,7 +178,7 @@ class Diagnosis:
         """Return what is wrong with the observations."""
         name = self.model.name_of_row
         every = list(dict.fromkeys(name(row) for row in sorted(self.why)))
-        gone = listed(every[:8], ", ")
+        gone = join_texts(every[:8], ", ")
         if len(every) > 8:
             gone = phrase("{0} and {1} others", gone, len(every) - 8)
         parts = [phrase("{0} are wrong", gone)] if gone else []

@@ -56,7 +56,7 @@ from rotcal_ros.foundation.compact import (
     variances_of,
     written,
 )
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
@@ -115,7 +115,7 @@ AT_MOST: Final = noted("{0}, by up to {1} {2} (k = 2, p = {3:.2g})")
 
 
 def _with_bands(pairs: Iterable[tuple[float, float]]) -> Phrase:
-    return listed([phrase("{0:.3g} ± {1:.2g}", size, u) for size, u in pairs], ", ")
+    return join_texts([phrase("{0:.3g} ± {1:.2g}", size, u) for size, u in pairs], ", ")
 
 
 class FoundEffect(NamedTuple):
@@ -576,7 +576,7 @@ def _doubts(found: Adjusted) -> Iterator[Phrase]:
         others = [
             phrase("that {0} (1 : {1:.2g})", e.what, o) for e, o in zip(rivals, odds, strict=True)
         ]
-        yield phrase(RIVALLED, best.what, listed(others))
+        yield phrase(RIVALLED, best.what, join_texts(others))
     yield from gathering.doubts(
         found.diagnosis.gathering, limits.gathered_share, limits.significance, model.words,
         model.unit,

@@ -18,7 +18,7 @@ from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, group_test
 from rotcal_ros.adjust.judgement import Blame, Judgement, judge
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.compact import FULL, CompactCovariance, Spread
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import Unit
@@ -157,7 +157,7 @@ def _blamed(case: Blame, words: Words, unit: Unit) -> Phrase:
     if case.ambiguous:
         other = int(case.rivals[0].sum())
         rival = phrase(AS_WELL, other, case.ratios[0])
-        return listed([text, rival])
+        return join_texts([text, rival])
     return text
 
 

@@ -10,8 +10,8 @@ from typing import Any, Literal
 from numpy.typing import ArrayLike
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, MachineIdentity
-from rotcal_ros.compensation.earlier_export import to_be_in_force
+from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, AcceptedConflicts, MachineIdentity
+from rotcal_ros.compensation.earlier_export import combine_with_earlier_export
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import (
     CompensationTable,
@@ -127,11 +127,11 @@ def write_controller_files(
     """
     now = datetime.now(timezone.utc)
     export = prepare_export(
-        to_be_in_force(
+        combine_with_earlier_export(
             table,
             controller,
             {"the machine (axis, serial)": MachineIdentity(axis, serial)},
-            Accepted(tuple(accept), largest_age_days),
+            AcceptedConflicts(tuple(accept), largest_age_days),
             int(now.timestamp()) * 1_000_000_000,
             replaces=replaces,
             add_to=None if add_to is None else Path(add_to),

@@ -24,7 +24,7 @@ from rotcal_ros.evaluation.reference import read_deviations
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Table, table_of
+from rotcal_ros.foundation.tables import Table, as_path_or_table
 from rotcal_ros.methods.calibration import prepare_whole
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
@@ -216,7 +216,7 @@ def _curve(curve: Curve, component: str) -> MeasuredCurve:
         return measured_curve(curve, component)
     if isinstance(curve, MeasuredCurve):
         return curve
-    table = table_of(curve, "DataFrame")
+    table = as_path_or_table(curve, "DataFrame")
     if not isinstance(table, Table):
         return read_curve(table, component)
     # What to_dataframe() returns is SI, and has columns of other components.

@@ -23,7 +23,7 @@ from rotcal_ros.foundation.observations import (
     TemperatureSample,
 )
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import table_of
+from rotcal_ros.foundation.tables import as_path_or_table
 from rotcal_ros.methods.configuration import Configuration, changed, parse_configuration
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
@@ -119,8 +119,8 @@ def read_table(
     'tracer_multistation'
     """
     configuration = setup if isinstance(setup, Configuration) else read_configuration(setup)
-    places = None if targets is None else table_of(targets, "DataFrame of targets")
-    return read_measurements(table_of(table, "DataFrame"), configuration, places)
+    places = None if targets is None else as_path_or_table(targets, "DataFrame of targets")
+    return read_measurements(as_path_or_table(table, "DataFrame"), configuration, places)
 
 
 def read_result(path: Name) -> Result:

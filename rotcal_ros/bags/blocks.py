@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
-from rotcal_ros.bags.settings import refusal
 from rotcal_ros.foundation.arrays import Bools, Bytes, Ints
 
 HEADER_TYPE: Final = np.dtype(
@@ -123,8 +122,7 @@ def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]
         is_message = raw[begins] == MESSAGE
         most_others -= len(begins) - int(np.count_nonzero(is_message))
         if most_others < 0:
-            what = "a chunk has too many records that are not messages"
-            fault = refusal(what, "other_records", len(data) // HEADER_SIZE)
+            fault = "a chunk has too many records that are not messages"
             begins, is_message = begins[:0], is_message[:0]
         whole = is_message & (sizes[: len(begins)] >= HEADER_TYPE.itemsize)
         if (whole != is_message).any():

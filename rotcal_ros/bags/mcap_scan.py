@@ -27,7 +27,7 @@ from rotcal_ros.bags.mcap_records import DamagedRecord, R
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, refusal
 from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Item, Scan, State
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import open_plain, why
+from rotcal_ros.foundation.untrusted import cause_of, open_plain
 
 _UNCHUNKED_BYTES: Final = 1 << 20
 """Messages outside chunks are put together to blocks of this size."""
@@ -80,13 +80,13 @@ class McapScan(Scan):
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
                 self._unpacker = compression.Unpacker(self._limits, self._size)
-                self._framing = Framing(file, size, self._limits.record_bytes)
+                self._framing = Framing(file, size, self._limits.chunk_bytes)
                 report = self._framing.index_fault, self._framing.damage
                 self._index = IndexCheck(*report) if self._check_index else None
                 self._define_by_summary(file, size)
                 yield from self._items(self._framing)
         except OSError as error:
-            raise BagError(f"cannot read {self.path}: {why(error)}") from error
+            raise BagError(f"cannot read {self.path}: {cause_of(error)}") from error
 
     def verdict(self) -> FileVerdict:
         """Return the verdict on the file, after the iteration."""
@@ -188,7 +188,7 @@ class McapScan(Scan):
         if record.size and not record.content:
             self._loss_unknown |= opcode == mcap.MESSAGE
             what = f"a record has {record.size} bytes"
-            raise mcap.DamagedRecord(refusal(what, "record_bytes", record.size))
+            raise mcap.DamagedRecord(refusal(what, "chunk_bytes", record.size))
         if opcode not in _DATA:
             self._memory.check_record(record.content)
 
@@ -380,7 +380,7 @@ class McapScan(Scan):
 
     def _define_by_summary(self, file: BinaryIO, size: int) -> None:
         """Add schemas and channels from the summary of a complete file, before its data."""
-        for record, checked in summary_definitions(file, size, self._limits.record_bytes):
+        for record, checked in summary_definitions(file, size, self._limits.chunk_bytes):
             trust = Trust.CHECKED_INDEX if checked else Trust.PLAIN_INDEX
             try:
                 self._define(record, record.opcode, record.content, trust)

@@ -16,7 +16,7 @@ from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import FileVerdict, Item, Scan
 from rotcal_ros.bags.unread_data import note_verdict
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import reading
+from rotcal_ros.foundation.untrusted import read_errors_as
 
 Content = TypeVar("Content")
 
@@ -26,7 +26,7 @@ Progress = Callable[[int, int], None]
 SUFFIXES: Final = (".mcap", ".db3")
 """The endings of storage files, in any case; followed by ``.zstd``: compressed as a whole."""
 
-_NUMBER: Final = re.compile(r"(.*?)_?(\d+)$")
+_NUMBERS: Final = re.compile(r"(\d+)")
 _HASH_BYTES: Final = 1 << 20
 
 
@@ -35,7 +35,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
     Raises BagError when there is no bag at ``path``, or none that may be read.
     """
-    with reading(path, BagError):
+    with read_errors_as(path, BagError):
         if not path.exists():
             raise BagError(f"{path} does not exist; name a bag folder, or an .mcap or .db3 file")
         if path.is_file():
@@ -149,8 +149,7 @@ def _storage(path: PurePath) -> str:
     return plain_name(path).suffix.lower()
 
 
-def _order(path: Path) -> tuple[str, int]:
-    """Sort key: name_2 comes before name_10."""
-    stem = plain_name(path).stem
-    match = _NUMBER.match(stem)
-    return (match[1], int(match[2])) if match else (stem, -1)
+def _order(path: Path) -> tuple[str | int, ...]:
+    """Sort key: name_2 comes before name_10, and 2_name before 10_name, as ROS 2 Lyrical names."""
+    parts = _NUMBERS.split(plain_name(path).stem)  # texts and numbers in turn
+    return tuple(int(part) if n % 2 else part for n, part in enumerate(parts))

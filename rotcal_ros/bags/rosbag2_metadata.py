@@ -15,7 +15,7 @@ import yaml
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.untrusted import load_yaml, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, load_yaml, read_text
 
 VERSION: Final = 9
 """Version of the format: the one of ROS 2 Kilted."""
@@ -216,7 +216,7 @@ def read_description(folder: Path) -> BagDescription | None:
     try:
         text = read_text(path, largest=_LARGEST)
     except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"{path} cannot be read: {why(error)}") from error
+        raise BagError(f"{path} cannot be read: {cause_of(error)}") from error
     return parse_description(text, str(path))
 
 

@@ -35,7 +35,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
 from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Scan, TopicCount
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import why
+from rotcal_ros.foundation.untrusted import cause_of
 
 _BLOCK_BYTES: Final = 1 << 20
 _MAX_CHANNELS: Final = 1 << 16
@@ -174,7 +174,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
     except _FAILURES as error:
         raise _refusal(path, _words(error)) from error
     except OSError as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error
+        raise BagError(f"cannot read {path}: {cause_of(error)}") from error
 
 
 def _refusal(path: Path, what: str) -> BagError:
@@ -325,9 +325,7 @@ class SqliteScan(Scan):
     def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
         size, room = 0, 4 * self._plain_size + LARGEST_MESSAGE
-        odd = not self._damages and database.connection.execute(_ODD_TIMES).fetchone() is not None
-        by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
-        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, by):
+        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, "timestamp"):
             if (message := self._message(topic_id, time_ns, data, length)) is None:
                 continue
             batch.append(message)
@@ -354,11 +352,12 @@ class SqliteScan(Scan):
             self._oddities["messages of no topic"] += 1
             self._unreadable += 1
             return None
-        if not isinstance(time_ns, int) and (time_ns := _whole(time_ns)) is not None:
-            self._oddities["messages whose time is a text or a fraction, read as a whole one"] += 1
         if not isinstance(time_ns, int) or not isinstance(data, bytes):
-            large = size and not isinstance(data, bytes)
-            what = "whose size is out of range" if large else "without content or time"
+            what = "without content or time"
+            if size and not isinstance(data, bytes):
+                what = "whose size is out of range"
+            elif isinstance(time_ns, bytes | float):
+                what = "whose time is no integer (UPDATE messages SET timestamp = CAST(...))"
             self._oddities[f"messages {what}"] += 1
             self._lost[number] += 1
             return None
@@ -401,19 +400,6 @@ _MESSAGE: Final = (
     "topic_id", "timestamp", f"CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END",
     "length(data)",
 )  # fmt: skip
-_ODD_TIMES: Final = "SELECT 1 FROM messages WHERE typeof(timestamp) != 'integer' LIMIT 1"
-_TIME: Final = re.compile(rb"\s*([+-]?[0-9]{1,19})(\.[0-9]*)?([eE][+-]?[0-9]{1,3})?\s*")
-_LARGEST_TIME: Final = float(1 << 62)
-
-
-def _whole(time_ns: object) -> int | None:
-    """Return a time that is stored as a text or a fraction as a whole number; None for others."""
-    found = _TIME.fullmatch(time_ns) if isinstance(time_ns, bytes) else None
-    if found is not None:  # a double does not hold all digits of a time of today
-        time_ns = float(found[0]) if found[3] else int(found[1])
-    if isinstance(time_ns, float | int) and abs(time_ns) < _LARGEST_TIME:
-        return int(time_ns)
-    return None
 
 
 def _block(batch: list[tuple[int, int, bytes]]) -> Block:

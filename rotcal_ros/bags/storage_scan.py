@@ -16,8 +16,8 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropouts import Dropout, DropoutReader
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
-from rotcal_ros.foundation.untrusted import reading, require_plain
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
+from rotcal_ros.foundation.untrusted import read_errors_as, require_plain
 
 FELL_SILENT: Final = noted("{0} fell silent ({1} times)")
 
@@ -116,7 +116,7 @@ class FileVerdict:
             lost = phrase("an unknown number of messages lost")
         at = phrase("{0} at byte {1}: {2}", phrase(self.state), first.offset, phrase(first.what))
         more = [] if self.lost_exactly else [phrase("more may be missing")]
-        return listed([at, lost, *more])
+        return join_texts([at, lost, *more])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form."""
@@ -203,7 +203,7 @@ class Scan(StorageContents, ABC):
 
     def __init__(self, path: Path) -> None:
         """Read nothing yet; raises BagError if ``path`` is a pipe or a device: it may block."""
-        with reading(path, BagError):
+        with read_errors_as(path, BagError):
             require_plain(path)
         super().__init__(path)
         self.position = 0

@@ -254,10 +254,8 @@ class BagWriter:
         self._unsynced = 0
 
     def _must_split(self) -> bool:
-        limits, file = self.settings, self.files[-1]
-        seconds = (file.end_ns - file.start_ns) / 1e9 if file.messages else 0.0
-        too_big = 0 < limits.split_bytes <= self._file.size
-        return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
+        too_big = 0 < self.settings.split_bytes <= self._file.size
+        return too_big and self.files[-1].messages > 0
 
     def _split(self) -> None:
         """Go on in a new file, which is on the medium before the previous one names it."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.foundation.arrays import Floats, Stamps, steps_from
+from rotcal_ros.foundation.arrays import Floats, Stamps, differences_from
 
 CAPACITY = 1 << 17
 """A stream remembers at least this many samples: two minutes at 1 kHz."""
@@ -213,7 +213,7 @@ class Stream:
         It stops where the clock turns out to have been set back.
         """
         first = int(stamps[0]) - 1 if self.latest is None else self.latest
-        steps = steps_from(first, stamps)
+        steps = differences_from(first, stamps)
         if steps.min() > 0 and steps.max() <= self._tolerance_ns:
             self._ahead = 0
             self._behind.clear()

@@ -10,8 +10,8 @@ import numpy as np
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.foundation.arrays import Bools, Floats, steps_from
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.arrays import Bools, Floats, differences_from
+from rotcal_ros.foundation.language import Phrase, join_texts, phrase
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.planning.table_feedback import (
     PUBLISH_VELOCITY,
@@ -68,7 +68,7 @@ def departure(
     first, last = table.index(begin_ns), table.index(end_ns)
     stamps = table.stamps[first : last + 1]
     moved = ~at_rest(table.values[first : last + 1], commanded, settings)
-    silent = steps_from(begin_ns, stamps) > nanoseconds(settings.table_silence_s)
+    silent = differences_from(begin_ns, stamps) > nanoseconds(settings.table_silence_s)
     wrong = moved | silent
     if not wrong.any():
         return None
@@ -182,7 +182,7 @@ def off_in_words(
         "{3:.3g} deg/s (allowed {4:g})", off / ARCSEC, commanded / DEGREE,
         settings.position_tolerance_arcsec, velocity / DEGREE, settings.velocity_tolerance_deg_s
     )  # fmt: skip
-    return off_and_fast if fault is None else listed([off_and_fast, fault])
+    return off_and_fast if fault is None else join_texts([off_and_fast, fault])
 
 
 def _feedback_fault(angle: float, velocity: float, commanded: float) -> Phrase | None:

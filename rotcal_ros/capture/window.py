@@ -20,8 +20,8 @@ import numpy as np
 
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints, Stamps, steps_from
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints, Stamps, differences_from
+from rotcal_ros.foundation.language import Phrase, join_texts, phrase
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
 
@@ -127,7 +127,7 @@ def classify(status: Floats, length: Floats, max_length: float) -> Ints:
 
 def sequence_steps(sequence: Floats, before: float) -> Ints:
     """Return the steps (n,) of a sequence that follows ``before``, modulo 32 bits."""
-    return steps_from(before, sequence).astype(np.int64) % WRAP
+    return differences_from(before, sequence).astype(np.int64) % WRAP
 
 
 def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -> ReducedWindow:
@@ -216,7 +216,7 @@ def too_few_usable(faults: Ints, length: Floats, settings: CaptureSettings) -> P
     needed = phrase("expected at least {0:.0%}", settings.min_used_share)
     text = phrase(
         "only {0} of {1} readings usable: {2}; {3}", len(faults) - counts.total(), len(faults),
-        listed(parts, ", "), needed
+        join_texts(parts, ", "), needed
     )  # fmt: skip
     if counts[ReadingFault.IMPLAUSIBLE]:
         largest = float(np.abs(length[faults == ReadingFault.IMPLAUSIBLE]).max())

@@ -20,7 +20,7 @@ from rotcal_ros.cli.options import (
     remember_option,
     sheet_option,
 )
-from rotcal_ros.foundation.language import ENGLISH, speaking
+from rotcal_ros.foundation.language import ENGLISH, use_language
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.compare import Comparison
@@ -97,7 +97,7 @@ def command(
 
         shown = (curves, comparisons, component)
         page, figure = partial(comparison_page, *shown), partial(curves_and_errors, *shown)
-        with speaking(language):
+        with use_language(language):
             draw(output, {".svg": figure, ".html": page})
     if as_json:
         print_json(_plain(comparisons, component))

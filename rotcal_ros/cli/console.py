@@ -143,8 +143,8 @@ def in_lines(error: Exception) -> tuple[str, ...]:
         return str(error), *error.log.splitlines()
     if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
         return (f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}",)
-    from rotcal_ros.foundation.plugins import culprit, describe
+    from rotcal_ros.foundation.plugins import describe_error, failing_plugin
 
-    if isinstance(error, OSError) and error.strerror and not culprit(error):
+    if isinstance(error, OSError) and error.strerror and not failing_plugin(error):
         return (f"{error.strerror}: {error.filename}" if error.filename else error.strerror,)
-    return (f"unexpected {describe(error)} ('rotcal --debug ...' shows where)",)
+    return (f"unexpected {describe_error(error)} ('rotcal --debug ...' shows where)",)

@@ -88,11 +88,11 @@ def checks(output: Path) -> Iterator[Check]:
 
 def tables(machine_ini: Path) -> Iterator[Check]:
     """Check whether the ini file of a LinuxCNC puts its tables into force as intended."""
-    from rotcal_ros.compensation.linuxcnc import hook_up
+    from rotcal_ros.compensation.linuxcnc import find_loaded_tables
 
     advice = "the copy that 'rotcal export --machine-ini' writes has the lines where they belong"
     try:
-        found = list(hook_up(machine_ini))
+        found = list(find_loaded_tables(machine_ini))
     except ConfigurationError as error:
         found = [(machine_ini.name, (str(error),))]
     for about, wrong in found:

@@ -190,12 +190,14 @@ def _refuse(options: dict[str, Any], what: str) -> None:
 
 def _letter(forward: ResultSource, asked: ExportRequest) -> str:
     """Return the axis to write for; contradictions are refused, or printed if accepted."""
-    from rotcal_ros.compensation.agreement import MachineIdentity, require
+    from rotcal_ros.compensation.agreement import MachineIdentity, require_same_machine
 
     machines, axis = asked.machines(), asked.measured_axis(forward)
     known = forward.result.circumstances
     measured = MachineIdentity(axis, known.identity.serial)
-    for note in require(measured, known.from_ns, machines, asked.accepted(), asked.now_ns):
+    for note in require_same_machine(
+        measured, known.from_ns, machines, asked.accepted(), asked.now_ns
+    ):
         say(f"warning: {note}")
     return next(machine.axis for machine in machines.values()) or axis
 

@@ -15,7 +15,7 @@ from rotcal_ros import __version__
 from rotcal_ros.cli.console import INTERRUPTED, in_lines
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.url_secrets import describe, has_secret, masked
+from rotcal_ros.foundation.url_secrets import has_secret, mask_secrets, secret_error_text
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.plugins import Verb
@@ -82,7 +82,7 @@ class LazyGroup(click.Group):
         """Refuse a secret in a URL, which outputs, names of files and logs would repeat."""
         for number, text in enumerate(args, 1):
             if has_secret(text):
-                context.fail(describe(f"argument {number}"))
+                context.fail(secret_error_text(f"argument {number}"))
         return super().parse_args(context, args)
 
     def list_commands(self, _context: click.Context) -> list[str]:
@@ -119,9 +119,9 @@ class LazyGroup(click.Group):
         """Find the verb; a misspelt one fails with the name that was probably meant."""
         name = args[0]
         if not name.startswith("-") and not _is_known(name):
-            from rotcal_ros.foundation.plugins import VERBS, nearest
+            from rotcal_ros.foundation.plugins import VERBS, name_hint
 
-            context.fail(f"no verb {name!r}{nearest(name, verbs(), VERBS)}")
+            context.fail(f"no verb {name!r}{name_hint(name, verbs(), VERBS)}")
         return super().resolve_command(context, args)
 
     def format_commands(self, _context: click.Context, formatter: click.HelpFormatter) -> None:
@@ -162,7 +162,7 @@ class LazyGroup(click.Group):
             code = super().invoke(context)
             sys.stdout.flush()
         except click.ClickException as error:
-            vars(error)["message"] = masked(error.message)
+            vars(error)["message"] = mask_secrets(error.message)
             raise
         except click.exceptions.Exit:
             raise

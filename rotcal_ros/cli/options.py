@@ -18,7 +18,7 @@ from click.shell_completion import CompletionItem
 from rotcal_ros.cli.console import path_type
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.language import ENGLISH, codes
+from rotcal_ros.foundation.language import ENGLISH, language_codes
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 shown_option = partial(click.option, show_default=True)
 language_option = click.option(
     "--language",
-    type=click.Choice(codes()),
+    type=click.Choice(language_codes()),
     default=ENGLISH.code,
     help="Language of the report; names, and what a person wrote, stay as they are.",
 )
@@ -133,11 +133,11 @@ def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], 
 
 def sheet_of(changes: Sequence[str]) -> SheetSettings:
     """Return what ``--set sheet.NAME=VALUE`` says of a table."""
-    from rotcal_ros.foundation.settings import of_changes
+    from rotcal_ros.foundation.settings import settings_from_changes
     from rotcal_ros.foundation.table_columns import SheetSettings
     from rotcal_ros.foundation.untrusted import load_yaml
 
-    return of_changes(SheetSettings, "sheet", changes, load_yaml)
+    return settings_from_changes(SheetSettings, "sheet", changes, load_yaml)
 
 
 def references(

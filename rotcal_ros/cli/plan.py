@@ -55,7 +55,7 @@ class PlanGroup(click.Group):
         """Find the plan; an unknown one fails with the name that was meant, or what to install."""
         name, known = args[0], self.list_commands(context)
         if not name.startswith("-") and name not in known:
-            context.fail(f"no plan {name!r}{plugins.nearest(name, known, plugins.PLANS)}")
+            context.fail(f"no plan {name!r}{plugins.name_hint(name, known, plugins.PLANS)}")
         return super().resolve_command(context, args)
 
 

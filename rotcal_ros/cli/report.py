@@ -12,7 +12,7 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
 from rotcal_ros.cli.options import language_option, set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.language import speaking
+from rotcal_ros.foundation.language import use_language
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command, unfinished
 from rotcal_ros.report.terminal.console import say, understood
 
@@ -134,7 +134,7 @@ def _report(asked: _ReportRequest) -> int:
     require_writable(output)
     _require_new(output, source)
     _require_empty(asked.tables, source)
-    with speaking(asked.language):
+    with use_language(asked.language):
         result = _written(asked, source, output)
     say(f"report: {output.absolute()}")
     for path in () if asked.tables is None else write_tables(result, asked.tables):
@@ -179,9 +179,9 @@ def _acting(result: Result, in_force: Path | None) -> int:
     """Print whether the table in force acts on ``result``; return 1 if it does not."""
     if in_force is None:
         return 0
-    from rotcal_ros.compensation.earlier_export import effect_in_force
+    from rotcal_ros.compensation.earlier_export import effect_of_table_in_force
 
-    effect = effect_in_force(result, in_force)
+    effect = effect_of_table_in_force(result, in_force)
     if effect is not None:
         say(f"warning: {effect.fault}" if effect.fault else f"table acts: {effect.describe()}")
     return 1 if effect is not None and effect.fault else 0

@@ -11,7 +11,7 @@ import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_outcome
 from rotcal_ros.cli.options import configurations, language_option, set_option
-from rotcal_ros.foundation.language import speaking
+from rotcal_ros.foundation.language import use_language
 from rotcal_ros.report.terminal.console import tell
 
 
@@ -108,7 +108,7 @@ def command(
     with lasting_output(session.run_log), viewers:
         outcome = calibrate(session, viewers, at_once=yes)
         if not outcome.get("interrupted"):
-            with speaking(language):
+            with use_language(language):
                 files = write_products(
                     session, report=not no_report, export=not no_export, tell=viewers.say
                 )

@@ -78,7 +78,7 @@ def _sections(method: str, groups: Sequence[str]) -> tuple[Section, ...]:
     for name in groups:
         if name not in known:
             what = "group" if method else "method, group or controller"
-            hint = plugins.nearest(name, (*others, *known))
+            hint = plugins.name_hint(name, (*others, *known))
             raise ConfigurationError(f"no {what} {name!r:.80}{hint}")
     return tuple(section for section in sections if not groups or section.group in groups)
 

@@ -57,7 +57,7 @@ def command(
     contradict the solver's uncertainty.
     """
     from rotcal_ros.evaluation.monte_carlo import propagated
-    from rotcal_ros.foundation.machine_load import cores
+    from rotcal_ros.foundation.machine_load import core_count
     from rotcal_ros.recordings.inputs import Input
 
     measured = _read(Input(source, setup, targets, changes, announce=understood))
@@ -67,7 +67,7 @@ def command(
             trials=trials,
             digits=digits,
             seed=seed,
-            workers=workers or cores(),
+            workers=workers or core_count(),
             progress=shown,
         )
     if as_json:

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.circumstances import SIMULATED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.gum_numbers import value
-from rotcal_ros.foundation.language import speaking
+from rotcal_ros.foundation.language import use_language
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.console import say, tell, understood
 
@@ -132,7 +132,7 @@ def command(
     --table, else by that of BEFORE. --set says how both tables are read, --check how AFTER is.
     """
     if apart["after"] is not None:
-        with speaking(language):
+        with use_language(language):
             return _verify_two(configuration, output, changes, check, controllers, as_json, apart)
     _refuse({name: value for name, value in apart.items() if value is not None}, "--after TABLE")
     from rotcal_ros.sessions.verification import Request, begin, confirm_loaded
@@ -153,7 +153,7 @@ def command(
         folder = resume.absolute()
     if loaded:
         confirm_loaded(folder)
-    with speaking(language):
+    with use_language(language):
         return _verify(folder, as_json)
 
 

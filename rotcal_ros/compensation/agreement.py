@@ -43,7 +43,7 @@ NO_MACHINE: Final = MachineIdentity()
 
 
 @dataclass(frozen=True)
-class Accepted:
+class AcceptedConflicts:
     """What a person accepts: words of CONFLICTS, and how old (days) a measurement may be."""
 
     words: tuple[str, ...] = ()
@@ -60,21 +60,23 @@ class Accepted:
             )
 
 
-def agreeing(
+def check_table_for_machines(
     table: CompensationTable,
     machines: Mapping[str, MachineIdentity],
-    accepted: Accepted,
+    accepted: AcceptedConflicts,
     now_ns: int,
     made_ns: int = 0,
 ) -> CompensationTable:
-    """Return ``table`` for the ``machines`` if it belongs to all of them, see :func:`require`.
+    """Return ``table`` for ``machines`` that it belongs to, see :func:`require_same_machine`.
 
     ``made_ns`` is when the table was made, which counts if the time of measurement is not known.
     A contradiction that is accepted becomes a warning, and so does an unknown age; the axis
     becomes that of the machines.
     """
     measured = MachineIdentity(table.axis, table.serial)
-    notes = require(measured, table.measured_from_ns or made_ns, machines, accepted, now_ns)
+    notes = require_same_machine(
+        measured, table.measured_from_ns or made_ns, machines, accepted, now_ns
+    )
     axis = next((m.axis for m in machines.values() if m.axis), table.axis)
     fresh = tuple(note for note in notes if note not in table.warnings)
     if not fresh and axis == table.axis:
@@ -82,11 +84,11 @@ def agreeing(
     return replace(table, axis=axis, warnings=(*table.warnings, *fresh))
 
 
-def require(
+def require_same_machine(
     measured: MachineIdentity,
     made_ns: int,
     machines: Mapping[str, MachineIdentity],
-    accepted: Accepted,
+    accepted: AcceptedConflicts,
     now_ns: int,
 ) -> tuple[str, ...]:
     """Return in words the accepted contradictions between ``measured`` and ``machines``.
@@ -154,6 +156,6 @@ def _contradictions(
     return found
 
 
-def words_of(texts: Iterable[str]) -> tuple[str, ...]:
+def split_words(texts: Iterable[str]) -> tuple[str, ...]:
     """Return the words of several options, each of which may hold more than one."""
     return tuple(word for text in texts for word in text.replace(",", " ").split())

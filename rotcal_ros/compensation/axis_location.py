@@ -17,7 +17,7 @@ import numpy as np
 from rotcal_ros.compensation.agreement import require_verified
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.table import check_verdict
-from rotcal_ros.compensation.writing import side_facts, stem_of, with_side
+from rotcal_ros.compensation.writing import add_side_file, choose_stem, side_file_facts
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
@@ -30,7 +30,7 @@ DECIMALS: Final = 6
 """Decimals of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
 
 
-def describe(line: AxisLine) -> str:
+def describe_axis_line(line: AxisLine) -> str:
     """Return place and lean with U (k = 2); files of controllers hold no other signs."""
     x, y, z = line.point / MILLIMETRE
     parts = []
@@ -67,9 +67,9 @@ def prepare_location(
             "table_balls, or leave out --what axis"
         )
     usual = f"{check_axis(axis)}_{controller_name}_axis"
-    name = stem_of(stem, usual, simulated=result.simulated)
+    name = choose_stem(stem, usual, simulated=result.simulated)
     head = [
-        *(describe(line) for line in result.axes),
+        *(describe_axis_line(line) for line in result.axes),
         *([NOTHING_MEASURED] if result.simulated else []),
     ]
     located = controller.locate(result.axes, name, head)
@@ -77,21 +77,21 @@ def prepare_location(
         require_verified(controller.facts.title, located.unverified)
     notes = (*located.notes, *(f"not verified: {text}" for text in located.unverified))
     side = {
-        **side_facts(located.files, now, sources),
+        **side_file_facts(located.files, now, sources),
         "kind": KIND,
         "controller": controller_name,
         "controller_title": controller.facts.title,
         "settings": asdict(controller),
         "source": located.source,
-        **origin_of(result),
+        **result_provenance(result),
         "axes": {line.letter: _facts_of(line) for line in result.axes},
         "values": dict(located.values),
         "notes": list(notes),
     }
-    return with_side(located.files, name, side), (*head, *notes)
+    return add_side_file(located.files, name, side), (*head, *notes)
 
 
-def origin_of(result: Result) -> dict[str, Any]:
+def result_provenance(result: Result) -> dict[str, Any]:
     """Return what a side file says of the ``result`` that its numbers come from."""
     return {
         "method": result.method,
@@ -114,6 +114,6 @@ def _facts_of(line: AxisLine) -> dict[str, Any]:
     }
 
 
-def millimetres(values: Sequence[float] | Floats, unit_m: float = MILLIMETRE) -> Floats:
+def rounded_lengths(values: Sequence[float] | Floats, unit_m: float = MILLIMETRE) -> Floats:
     """Return lengths (n,), m, in ``unit_m``, rounded as they are written."""
     return np.round(np.asarray(values, dtype=np.float64) / unit_m, DECIMALS) + 0.0

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
+from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, AcceptedConflicts
 from rotcal_ros.compensation.controllers import make_controller, parse_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import expert, setting, with_groups
+from rotcal_ros.foundation.settings import add_nested_groups, expert, setting
 
 DEFAULT: Final = "csv"
 FOLDER: Final = "folder"
@@ -21,7 +21,7 @@ STORES: Final = {
 """The settings of the other transports, by name; each has a ``check()`` of what it needs."""
 
 
-@with_groups(STORES)
+@add_nested_groups(STORES)
 @dataclass(frozen=True)
 class BridgeSettings:
     """Which controller gets tables, in which form, and how far they may change it.
@@ -115,9 +115,9 @@ class BridgeSettings:
         make_controller(self.controller, self.controller_settings, "options")
 
     @property
-    def accepted(self) -> Accepted:
+    def accepted(self) -> AcceptedConflicts:
         """What a person accepts; ConfigurationError for a word without a meaning."""
-        return Accepted(self.accept, self.max_age_days)
+        return AcceptedConflicts(self.accept, self.max_age_days)
 
     @property
     def controller_settings(self) -> dict[str, Any]:

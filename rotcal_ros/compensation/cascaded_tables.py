@@ -14,8 +14,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from rotcal_ros.compensation.held_table import HeldTable, effect_on
-from rotcal_ros.compensation.interpolation_uncertainty import between_std
+from rotcal_ros.compensation.held_table import HeldTable, effect_from_table
+from rotcal_ros.compensation.interpolation_uncertainty import interpolation_std
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
     CompensationTable,
@@ -27,7 +27,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.in_force import NONE, UNKNOWN, describe, known_hash
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN, describe, is_table_hash
 from rotcal_ros.foundation.units import ARCSEC
 
 Combination = Literal["as_measured", "replace", "add"]
@@ -38,7 +38,7 @@ NEAR: Final = 0.25
 are left out: noise would bend the curve between rows so close together."""
 
 
-def combined(
+def combine_with_table_in_force(
     table: CompensationTable,
     in_force: Callable[[], HeldTable | None],
     word: Combination = "as_measured",
@@ -65,18 +65,18 @@ def combined(
             f"there is no table to add to: {describe(table.measured_on)}; name it (rotcal export "
             "--add-to), or restore it"
         )
-    if known_hash(table.measured_on) and held.in_force != table.measured_on:
+    if is_table_hash(table.measured_on) and held.in_force != table.measured_on:
         raise DataError(
             f"not added: {describe(table.measured_on)}, and the one to add to is "
             f"{held.in_force[:12]}; measure again with what the controller holds now"
         )
-    acts = effect_on(table, held)
+    acts = effect_from_table(table, held)
     if acts is not None and acts.fault:
         raise DataError(
             f"not added: {acts.fault}. Correct that and measure again, or remove the table "
             "(restore), measure without one and replace it"
         )
-    return added(table, held)
+    return add_tables(table, held)
 
 
 def _refuse_word(table: CompensationTable, word: Combination) -> None:
@@ -94,14 +94,14 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
         )
     if table.measured_on == NONE and word == "add":
         raise DataError(f"not added: {describe(NONE)}; let it replace the table in force")
-    if known_hash(table.measured_on) and word == "replace":
+    if is_table_hash(table.measured_on) and word == "replace":
         raise DataError(
             f"not replaced: {describe(table.measured_on)}, and replacing that table would lose "
             "what it corrects; add to it"
         )
 
 
-def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
+def add_tables(table: CompensationTable, held: HeldTable) -> CompensationTable:
     """Return the corrections of ``table``, measured on top of ``held``, and of ``held`` in one.
 
     At the reference angle of ``held`` the sum is what that is there. The numbers in a controller
@@ -166,7 +166,7 @@ def _rows(table: CompensationTable, held: HeldTable) -> Floats:
 
 
 def _between(table: CompensationTable) -> float:
-    """Return what the whole correction may do between its rows, as :func:`between_std`."""
+    """Return what the whole correction may do between its rows, as :func:`interpolation_std`."""
     stds = np.concatenate([table.std_of(approach) for approach in DIRECTIONS])
     curve = DirectionalCurve(
         angles=table.angles,
@@ -180,4 +180,4 @@ def _between(table: CompensationTable) -> float:
     def weights(of: DirectionalCurve, at: Floats) -> Floats:
         return interpolation_matrix(of.angles, at, of.period)
 
-    return float(np.max(between_std(curve, weights, table.reference_angle)))
+    return float(np.max(interpolation_std(curve, weights, table.reference_angle)))

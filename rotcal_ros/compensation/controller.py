@@ -166,7 +166,7 @@ class Controller(ABC):
         if self.comment is None:
             return dict(files)
         suffix, place, form = self.comment
-        return with_lines(files, suffix, place, [form.format(line) for line in lines])
+        return insert_lines(files, suffix, place, [form.format(line) for line in lines])
 
     def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
         """Return ``files`` with the mark ``text``, where whoever looks at the table sees it."""
@@ -189,6 +189,13 @@ class Controller(ABC):
         """Say in words what of :meth:`without_table` is in ``table``, and what of it is not."""
         del table
         return ""
+
+    def require_stated(self, table: CompensationTable) -> None:
+        """Raise ConfigurationError for what a person has to say before ``table`` is written.
+
+        A node, which can ask nobody, says it as a warning.
+        """
+        del table
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
         """Return what remains because the correction lags behind the rows of ``table``.
@@ -276,7 +283,7 @@ class Controller(ABC):
         return ()
 
 
-def with_lines(
+def insert_lines(
     files: Mapping[str, str], suffix: str, place: int, added: Sequence[str]
 ) -> dict[str, str]:
     """Return ``files`` with the lines ``added`` at ``place`` in those that end with ``suffix``."""

@@ -13,7 +13,7 @@ from re import Match
 
 import numpy as np
 
-from rotcal_ros.compensation.table import CompensationTable, averaged
+from rotcal_ros.compensation.table import CompensationTable, average_directions
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
@@ -40,7 +40,7 @@ def columns_deg(table: CompensationTable) -> tuple[Floats, Floats, Floats]:
 
 def mean_deg(table: CompensationTable) -> Floats:
     """Return the mean of both directions in degrees, closed, and zero at the reference angle."""
-    return columns_deg(averaged(table))[1]
+    return columns_deg(average_directions(table))[1]
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -67,7 +67,9 @@ def backlash_note(about: str, amount: float, table: CompensationTable) -> str:
     )
 
 
-def every_turn(first: int, turns: int, angles: Floats, *values: Floats) -> tuple[Floats, ...]:
+def repeat_for_turns(
+    first: int, turns: int, angles: Floats, *values: Floats
+) -> tuple[Floats, ...]:
     """Repeat ``angles`` (n,), 0 .. 360 deg, and the values there for ``turns`` turns.
 
     Turn ``first`` is the first, and 1 is 360 .. 720 deg. For controls that do not wrap an axis.
@@ -146,8 +148,8 @@ def only_file(files: Mapping[str, str], suffix: str) -> tuple[str, str]:
 
 
 def parse_rows(name: str, lines: list[str], columns: int, separator: str | None) -> Floats:
-    """Return :func:`numbers` of at least two rows whose first column ascends."""
-    data = numbers(name, lines, columns, separator)
+    """Return :func:`parse_numbers` of at least two rows whose first column ascends."""
+    data = parse_numbers(name, lines, columns, separator)
     if len(data) < 2:
         raise BagError(f"{name}: {len(data)} rows, expected at least 2")
     falling = np.diff(data[:, 0]) <= 0.0
@@ -157,18 +159,20 @@ def parse_rows(name: str, lines: list[str], columns: int, separator: str | None)
     return data
 
 
-def numbers(name: str, lines: list[str], columns: int, separator: str | None) -> Floats:
+def parse_numbers(name: str, lines: list[str], columns: int, separator: str | None) -> Floats:
     """Return the numbers (n, columns) of ``lines``; BagError names file and row."""
     rows = []
     for row, line in enumerate(lines, start=1):
         cells = line.split(separator)
         if len(cells) != columns:
             raise BagError(f"{name}, row {row}: {len(cells)} columns, expected {columns}")
-        rows.append([number(cell, f"{name}, row {row}") for cell in cells])
+        rows.append([parse_number(cell, f"{name}, row {row}") for cell in cells])
     return np.array(rows, dtype=np.float64).reshape(-1, columns)
 
 
-def matches(name: str, text: str, pattern: str, example: str) -> Iterator[tuple[str, Match[str]]]:
+def match_lines(
+    name: str, text: str, pattern: str, example: str
+) -> Iterator[tuple[str, Match[str]]]:
     """Yield place and match of every line of ``text``; BagError for a line unlike ``example``."""
     for row, line in enumerate(text.splitlines(), start=1):
         match = re.fullmatch(pattern, line.strip())
@@ -177,7 +181,7 @@ def matches(name: str, text: str, pattern: str, example: str) -> Iterator[tuple[
         yield f"{name}, line {row}", match
 
 
-def number(text: str, where: str) -> float:
+def parse_number(text: str, where: str) -> float:
     """Return ``text`` as a finite number, or raise BagError naming ``where``."""
     try:
         value = float(text)
@@ -196,7 +200,7 @@ def integer(text: str, where: str) -> int:
         raise BagError(f"{where}: found {text.strip()!r}, expected a whole number") from error
 
 
-def periodic(angle: Floats, rows_deg: Floats, values: Floats | Ints) -> Floats:
+def interpolate_periodically(angle: Floats, rows_deg: Floats, values: Floats | Ints) -> Floats:
     """Interpolate ``values`` at ``rows_deg`` 0 .. 360 linearly at ``angle`` (rad) of any turn."""
     within = np.mod(np.asarray(angle) / DEGREE, 360.0)
     return np.asarray(np.interp(within, rows_deg, values), dtype=np.float64)
@@ -232,7 +236,7 @@ class PeriodicTable:
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the radians that the control adds to the command at ``angle`` (rad)."""
         column = self.forward if approach is Approach.POSITIVE else self.reverse
-        return periodic(angle, self.rows_deg, column) * self.unit
+        return interpolate_periodically(angle, self.rows_deg, column) * self.unit
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.foundation.files import make_folder, sync_folder, write_atomically
-from rotcal_ros.foundation.untrusted import read_bytes, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, read_bytes, read_text
 
 T = TypeVar("T")
 
@@ -62,7 +62,7 @@ StoreMaker = Callable[[Any, Path, float, Controller], ControllerStore]
 an access may take, and the controller."""
 
 
-def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -> T:
+def call_with_timeout(action: Callable[[], T], timeout_s: float, place: str, what: str) -> T:
     """Return what ``action`` returns; ControllerError when it fails or takes too long.
 
     A call into a folder or a library on a network may block forever: it gets a thread of its own.
@@ -86,7 +86,7 @@ def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -
         ) from error
     except OSError as error:
         raise ControllerError(
-            f"the controller in {place} does not answer: cannot {what}: {why(error)}"
+            f"the controller in {place} does not answer: cannot {what}: {cause_of(error)}"
         ) from error
 
 
@@ -214,7 +214,7 @@ class ControllerFolder:
         sync_folder(self.folder)
 
     def _answered(self, action: Callable[[], T], what: str) -> T:
-        return answered(action, self._timeout_s, str(self.folder), what)
+        return call_with_timeout(action, self._timeout_s, str(self.folder), what)
 
 
 def _is_file(path: Path) -> bool:

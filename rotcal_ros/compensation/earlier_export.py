@@ -7,23 +7,32 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from rotcal_ros.compensation.agreement import Accepted, MachineIdentity, agreeing
-from rotcal_ros.compensation.cascaded_tables import combined
+from rotcal_ros.compensation.agreement import (
+    AcceptedConflicts,
+    MachineIdentity,
+    check_table_for_machines,
+)
+from rotcal_ros.compensation.cascaded_tables import combine_with_table_in_force
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.held_table import Effect, HeldTable, effect_of_result, held_table
+from rotcal_ros.compensation.held_table import (
+    CorrectionEffect,
+    HeldTable,
+    effect_from_result,
+    held_table,
+)
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.in_force import describe, known_hash
+from rotcal_ros.foundation.in_force import describe, is_table_hash
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.untrusted import load_json, read_text, reading
+from rotcal_ros.foundation.untrusted import load_json, read_errors_as, read_text
 
 
-def to_be_in_force(
+def combine_with_earlier_export(
     table: CompensationTable,
     controller_name: str,
     machine: Mapping[str, MachineIdentity],
-    accepted: Accepted,
+    accepted: AcceptedConflicts,
     now_ns: int,
     *,
     measured_ns: int = 0,
@@ -45,13 +54,15 @@ def to_be_in_force(
             "other"
         )
     if add_to is None:
-        agreed = agreeing(table, machine, accepted, now_ns, measured_ns)
-        return combined(agreed, lambda: None, "replace" if replaces else "as_measured")
+        agreed = check_table_for_machines(table, machine, accepted, now_ns, measured_ns)
+        return combine_with_table_in_force(
+            agreed, lambda: None, "replace" if replaces else "as_measured"
+        )
     letter = next((m.axis for m in machine.values() if m.axis), table.axis)
     earlier = read_earlier(add_to, controller_name, letter)
     machines = {**machine, f"the table in {add_to}": earlier.machine}
-    agreed = agreeing(table, machines, accepted, now_ns, measured_ns)
-    return combined(agreed, lambda: earlier, "add")
+    agreed = check_table_for_machines(table, machines, accepted, now_ns, measured_ns)
+    return combine_with_table_in_force(agreed, lambda: earlier, "add")
 
 
 def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
@@ -77,12 +88,12 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
     return held_table(make_controller(controller_name, settings), {**files, name: text})
 
 
-def effect_in_force(result: Result, folder: Path) -> Effect | None:
+def effect_of_table_in_force(result: Result, folder: Path) -> CorrectionEffect | None:
     """Return what ``result`` says about the table in force, whose files are in ``folder``.
 
     Raises ConfigurationError if ``folder`` does not hold this table.
     """
-    return effect_of_result(result, loaded_table(folder, result.measured_on))
+    return effect_from_result(result, loaded_table(folder, result.measured_on))
 
 
 def loaded_table(
@@ -96,7 +107,7 @@ def loaded_table(
     """
     pairs = {(side["controller"], side["axis"]) for side in map(_side, _sides(folder))}
     held = {pair: read_earlier(folder, *pair) for pair in sorted(pairs)}
-    word = controllers is not None and not known_hash(in_force)
+    word = controllers is not None and not is_table_hash(in_force)
     found = [
         table
         for (name, _), table in held.items()
@@ -145,5 +156,5 @@ def _checked(path: Path, sha256: str) -> str:
 
 
 def _text(path: Path) -> str:
-    with reading(path, BagError):
+    with read_errors_as(path, BagError):
         return read_text(path)

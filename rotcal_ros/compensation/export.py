@@ -18,23 +18,23 @@ import numpy as np
 from rotcal_ros.compensation.agreement import require_verified
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.held_table import RESIDUAL, STATED, ZERO_DEG, in_force_of
+from rotcal_ros.compensation.held_table import RESIDUAL, STATED, ZERO_DEG, hash_in_force
 from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
     SIGN_CONVENTION,
     CompensationTable,
     Correction,
-    averaged,
+    average_directions,
     check_verdict,
     resample,
 )
 from rotcal_ros.compensation.writing import (
     WRITTEN,
-    of_the_controller,
-    side_facts,
-    stem_of,
-    with_side,
+    add_side_file,
+    choose_stem,
+    side_file_facts,
+    without_provenance,
 )
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
@@ -42,7 +42,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.in_force import describe, known_hash
+from rotcal_ros.foundation.in_force import describe, is_table_hash
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND, TURN
 
 CONFIRMATION: Final = "confirmation_sha256"
@@ -77,7 +77,8 @@ class ExportFiles:
         """
         warnings = (f"warning: {warning}" for warning in self.warnings)
         return [
-            standing(self.table), self.residual.describe(), *warnings, *beside(self.controller)
+            describe_replacement(self.table), self.residual.describe(), *warnings,
+            *other_control_settings(self.controller),
         ]  # fmt: skip
 
     def with_machine_files(self) -> dict[str, str]:
@@ -86,7 +87,7 @@ class ExportFiles:
         Only a person puts such a copy into force. Raises ConfigurationError when one cannot be
         made, or has the name of another file.
         """
-        controller_files = of_the_controller(self.files)
+        controller_files = without_provenance(self.files)
         copies = self.controller.machine_files(self.table.axis, controller_files)
         if same := self.files.keys() & copies.keys():
             raise ConfigurationError(
@@ -112,7 +113,7 @@ def prepare_export(
     """Return the files for ``controller_name``, after reading them back and simulating it.
 
     ``axis`` is the axis they are meant for (refused when the table is another's), ``spacing``
-    and ``reference_angle`` are radians (without a spacing see :func:`chosen_rows`),
+    and ``reference_angle`` are radians (without a spacing see :func:`choose_row_spacing`),
     ``settings`` go to the controller, ``stem`` is the file name without extension (else axis and
     controller, and that of a simulation says so), ``sources`` maps what the numbers come from (a
     bag, a result) to its SHA-256. Unverified facts about a controller are refused unless
@@ -122,11 +123,13 @@ def prepare_export(
     controller = make_controller(controller_name, settings).for_axis(table.axis)
     _refuse(table, controller, axis, accept_unverified=accept_unverified)
     usual = default_stem(table.axis, controller_name)
-    name = stem_of(stem, usual, simulated=table.simulated)
+    name = choose_stem(stem, usual, simulated=table.simulated)
     measured = resample(table, reference_angle=reference_angle)
     shifted = _completed(measured, controller)
-    rows = chosen_rows(shifted, controller) if spacing is None else resample(shifted, spacing)
-    files = controller.commented(controller.write(rows, name), beside(controller))
+    rows = (
+        choose_row_spacing(shifted, controller) if spacing is None else resample(shifted, spacing)
+    )
+    files = controller.commented(controller.write(rows, name), other_control_settings(controller))
     if table.simulated:
         files = controller.marked(files, NOTHING_MEASURED)
     rule = controller.read(files)
@@ -139,7 +142,7 @@ def prepare_export(
         *lag.notes,
     )
     side = {
-        **side_facts(files, now, sources),
+        **side_file_facts(files, now, sources),
         **_origin(table),
         "controller": controller_name,
         **_controller_facts(controller),
@@ -149,7 +152,7 @@ def prepare_export(
     }
     confirmation = _confirmation(side)
     return ExportFiles(
-        files=with_side(files, name, {**side, CONFIRMATION: confirmation}),
+        files=add_side_file(files, name, {**side, CONFIRMATION: confirmation}),
         residual=residual,
         warnings=warnings,
         table=rows,
@@ -158,7 +161,7 @@ def prepare_export(
     )
 
 
-def beside(controller: Controller) -> list[str]:
+def other_control_settings(controller: Controller) -> list[str]:
     """Return what else the control does with the axis, and what switches a table on."""
     last = [f"switch on: {controller.switch_on}"] if controller.switch_on else []
     return [*(own.describe() for own in controller.own_settings), *last]
@@ -187,7 +190,7 @@ def _refuse(
 ) -> None:
     """Raise DataError or ConfigurationError for a table that may not be fed to ``controller``."""
     check_verdict(table)
-    if known_hash(table.measured_on) and not table.adds_to:
+    if is_table_hash(table.measured_on) and not table.adds_to:
         raise DataError(
             f"{describe(table.measured_on)}, and alone it would lose what that table corrects: "
             "add to it (rotcal export --add-to); nothing was written"
@@ -211,7 +214,7 @@ def default_stem(axis: str, controller_name: str) -> str:
     return f"{axis}_{controller_name}".lower()
 
 
-def standing(table: CompensationTable) -> str:
+def describe_replacement(table: CompensationTable) -> str:
     """Return in words whether ``table`` replaces the table in force or adds to it."""
     what = f"adds to the table {table.adds_to}" if table.adds_to else "replaces the table in force"
     return f"{what}; {describe(table.measured_on)}"
@@ -240,7 +243,9 @@ def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ..
     if table.simulated:
         reserve = (f"{NOTHING_MEASURED} table", *reserve)
     unverified = (f"not verified: {text}" for text in controller.unverified)
-    of_the_table = averaged(table).warnings if controller.one_direction else table.warnings
+    of_the_table = (
+        average_directions(table).warnings if controller.one_direction else table.warnings
+    )
     return (*reserve, *of_the_table, *unverified)
 
 
@@ -251,7 +256,7 @@ def _too_wide(
     spacing: float | None,
 ) -> tuple[str, ...]:
     """Return in words that the rows are too far apart, and what ``spacing`` helps."""
-    if residual.interpolation <= demanded(table):
+    if residual.interpolation <= allowed_interpolation_error(table):
         return ()
     widest = float(np.max(gaps_of(rows.angles, rows.period))) / DEGREE
     cure = "no rows that the controller takes leave less"
@@ -272,8 +277,8 @@ def _origin(table: CompensationTable) -> dict[str, Any]:
         "axis": table.axis,
         "item": table.item,
         "serial": table.serial,
-        "measured_from": utc(table.measured_from_ns) if table.measured_from_ns else "",
-        "measured_until": utc(table.measured_until_ns) if table.measured_until_ns else "",
+        "measured_from": format_utc(table.measured_from_ns) if table.measured_from_ns else "",
+        "measured_until": format_utc(table.measured_until_ns) if table.measured_until_ns else "",
         "simulated": table.simulated,
         "method": table.method,
         "verdict": table.verdict,
@@ -281,12 +286,12 @@ def _origin(table: CompensationTable) -> dict[str, Any]:
         "table_sha256": table.table_hash,
         "measured_on": table.measured_on,
         "adds_to": table.adds_to,
-        "in_force": standing(table),
+        "in_force": describe_replacement(table),
         "sign_of_the_table": SIGN_CONVENTION,
     }
 
 
-def utc(time_ns: int) -> str:
+def format_utc(time_ns: int) -> str:
     """Return a time (ns since 1970) for people."""
     time = datetime.fromtimestamp(time_ns * NANOSECOND, timezone.utc)
     return time.isoformat(timespec="seconds")
@@ -306,7 +311,7 @@ def _controller_facts(controller: Controller) -> dict[str, Any]:
 def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str, Any]:
     zero = float(Correction(rows)(rows.reference_angle, DIRECTIONS[0]))
     return {
-        CONTENTS: in_force_of(files),
+        CONTENTS: hash_in_force(files),
         "rows": len(rows.angles),
         "row_angles_deg": (rows.angles / DEGREE).tolist(),
         "closed": rows.closed,
@@ -399,7 +404,7 @@ class ResidualBudget:
         )
 
 
-def demanded(table: CompensationTable) -> float:
+def allowed_interpolation_error(table: CompensationTable) -> float:
     """Return what the lines between the rows may leave, rad: a third of U (k = 2).
 
     A measurement of the same kind would see more. Infinite if U is not known.
@@ -407,7 +412,7 @@ def demanded(table: CompensationTable) -> float:
     return COVERAGE_FACTOR * table.largest_std * SHARE_OF_U or np.inf
 
 
-def chosen_rows(table: CompensationTable, controller: Controller) -> CompensationTable:
+def choose_row_spacing(table: CompensationTable, controller: Controller) -> CompensationTable:
     """Return ``table`` on the widest rows between which the control keeps the demand.
 
     Its own rows are tried first. If no rows that ``controller`` takes are narrow enough, those
@@ -423,8 +428,8 @@ def chosen_rows(table: CompensationTable, controller: Controller) -> Compensatio
         except ConfigurationError as error:
             refused = refused or error
             continue
-        left = left_between(table, rows, controller)
-        if left <= demanded(table):
+        left = largest_interpolation_error(table, rows, controller)
+        if left <= allowed_interpolation_error(table):
             return rows
         if left < least:
             best, least = rows, left
@@ -434,14 +439,14 @@ def chosen_rows(table: CompensationTable, controller: Controller) -> Compensatio
     return best
 
 
-def left_between(
+def largest_interpolation_error(
     table: CompensationTable, rows: CompensationTable, controller: Controller
 ) -> float:
     """Return how far (rad) the control is at most from the curve of ``table`` between ``rows``."""
     grid = _fine_grid(table, rows)
     smooth, written = table, rows
     if controller.one_direction:
-        smooth, written = averaged(table), averaged(rows)
+        smooth, written = average_directions(table), average_directions(rows)
     columns = (written.correction_forward, written.correction_reverse)
     return SAMPLING * max(
         _largest(
@@ -470,10 +475,10 @@ def residual_budget(
     needed = [Correction(table)(grid, approach) for approach in DIRECTIONS]
     direction = 0.0
     if controller.one_direction:
-        goal = [Correction(averaged(table))(grid, approach) for approach in DIRECTIONS]
+        goal = [Correction(average_directions(table))(grid, approach) for approach in DIRECTIONS]
         direction = SAMPLING * _largest(np.subtract(needed, goal))
     steepest = SAMPLING * _largest(np.gradient(np.array(needed), grid, axis=1))
-    interpolation = left_between(table, rows, controller)
+    interpolation = largest_interpolation_error(table, rows, controller)
     rounding = controller.resolution(rows) / 2.0
     rounding += steepest * controller.position_resolution
     sampling = CERTAIN * table.between_std

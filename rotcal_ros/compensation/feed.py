@@ -15,9 +15,9 @@ from typing import Final, cast
 
 import numpy as np
 
-from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity, agreeing
+from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity, check_table_for_machines
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.cascaded_tables import Combination, combined
+from rotcal_ros.compensation.cascaded_tables import Combination, combine_with_table_in_force
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerStore, make_store
 from rotcal_ros.compensation.controllers import make_controller
@@ -26,30 +26,35 @@ from rotcal_ros.compensation.export import (
     LAST_ANGLE_DEG,
     ExportFiles,
     default_stem,
+    format_utc,
     prepare_export,
-    utc,
 )
-from rotcal_ros.compensation.held_table import HeldTable, held_table, in_force_of, machine_of
+from rotcal_ros.compensation.held_table import (
+    HeldTable,
+    hash_in_force,
+    held_table,
+    machine_from_files,
+)
 from rotcal_ros.compensation.journal import (
     Action,
     Contents,
-    Entry,
     Journal,
+    JournalEntry,
     contents_hash,
-    texts_of,
+    existing_files,
 )
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.compensation.writing import PROVENANCE, WRITTEN, of_the_controller, write_files
+from rotcal_ros.compensation.writing import PROVENANCE, WRITTEN, without_provenance, write_files
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
-from rotcal_ros.foundation.in_force import NONE, UNKNOWN, known_hash
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN, is_table_hash
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.foundation.untrusted import load_json, read_bytes
 
 
 @dataclass(frozen=True)
-class Applied:
+class AppliedChange:
     """What was done: where the controller's files are, the old ones' folder, change in rad.
 
     ``unfinished`` describes an earlier change that was never finished, if there was one.
@@ -88,7 +93,7 @@ class Feed:
         self._controller = make_controller(settings.controller, settings.controller_settings)
         self._store = store or make_store(settings, self._controller)
         self._journal = Journal(Path(settings.controller_folder) / STATE_FOLDER)
-        self._exchanging = Exchange(self._store, self._journal, now_ns)
+        self._exchanging = FileExchange(self._store, self._journal, now_ns)
         self.offer: TableOffer | None = None
 
     def take(self, table: CompensationTable, stamp_ns: int) -> tuple[Path, ...]:
@@ -97,16 +102,17 @@ class Feed:
         Returns the files: a new folder below the output folder, or the one that holds these very
         files already. Raises RotcalError, and forgets the earlier table, when it cannot be fed to
         this controller. A table that was measured on top of the one in force is added to it, see
-        :func:`combined`; it has to belong to this cell, see :func:`agreeing`.
+        :func:`combine_with_table_in_force`; it has to belong to this cell
+        (:func:`check_table_for_machines`).
         """
         self.forget()
         word = cast(Combination, self.settings.combine)
         self._refuse_journal(table, stamp_ns, word)
         now_ns = self._now_ns()
         measured = self._agreeing(table, stamp_ns, now_ns)
-        table = combined(measured, self._held, word)
+        table = combine_with_table_in_force(measured, self._held, word)
         if table.adds_to:
-            self._agreeing(measured, stamp_ns, now_ns, machine_of(self._present()))
+            self._agreeing(measured, stamp_ns, now_ns, machine_from_files(self._present()))
         self.offer = make_offer(table, stamp_ns, self.settings, self.axis, now_ns)
         return self.offer.paths
 
@@ -130,12 +136,12 @@ class Feed:
         """
         if not self.settings.controller_folder or self._journal.unfinished():
             return UNKNOWN
-        held = in_force_of(self._present())
+        held = hash_in_force(self._present())
         return held if held != NONE else self._noted()
 
     def contradiction(self, held: str) -> str | None:
         """Return in words what contradicts that ``held`` is in force, if anything does."""
-        if held == UNKNOWN and known_hash(noted := self._last_noted()):
+        if held == UNKNOWN and is_table_hash(noted := self._last_noted()):
             return (
                 "the controller shows no table, but according to the journal it was given "
                 f"{noted[:12]}: inspect the controller; then restore, which removes the table or "
@@ -152,7 +158,7 @@ class Feed:
         """Return what is in force where the controller has no file."""
         if not self._journal.entries():
             return NONE if self._stated == NONE else UNKNOWN
-        return UNKNOWN if known_hash(self._last_noted()) else NONE
+        return UNKNOWN if is_table_hash(self._last_noted()) else NONE
 
     def _last_noted(self) -> str:
         history = self._journal.history()
@@ -164,7 +170,7 @@ class Feed:
         self._store.lock()
         return self.unfinished()
 
-    def apply(self, confirmation: str) -> Applied:
+    def apply(self, confirmation: str) -> AppliedChange:
         """Give the table to the controller; ``confirmation`` is the hash over files and options.
 
         Keeps the old table, writes, reads back and compares. If the controller holds anything else
@@ -178,7 +184,7 @@ class Feed:
         self._refuse_another_base(offer)
         offer.refuse_changed()
         old = self._store.read(offer.files)
-        self._agreeing(offer.table, offer.stamp_ns, self._now_ns(), machine_of(old))
+        self._agreeing(offer.table, offer.stamp_ns, self._now_ns(), machine_from_files(old))
         rows = offer.export.table.angles
         change = self._change(old, offer.files, rows)
         self._refuse_large(change, self.settings.max_change_arcsec)
@@ -186,7 +192,7 @@ class Feed:
             ("applying", "applied"), old, offer.files, change, offer.table.table_hash
         )
 
-    def restore(self, kept_hash: str, max_change_arcsec: float = 0.0) -> Applied:
+    def restore(self, kept_hash: str, max_change_arcsec: float = 0.0) -> AppliedChange:
         """Put back what the controller held when its files had this hash; keep what it holds now.
 
         ``max_change_arcsec`` replaces the limit of the settings this once; 0: it does not. If the
@@ -198,7 +204,7 @@ class Feed:
         kept = self._journal.kept_before(entry)
         present = self._store.read(kept)
         try:
-            change = self._change(present, texts_of(kept))
+            change = self._change(present, existing_files(kept))
         except RotcalError as error:
             change = float("nan")
             if not max_change_arcsec and entry != self._journal.unfinished():
@@ -230,7 +236,7 @@ class Feed:
             f"{entry.action} table {entry.table_hash[:12]}" if entry.table_hash else entry.action
         )
         return (
-            f"{what}, begun at {utc(entry.time_ns)}, was never finished: the "
+            f"{what}, begun at {format_utc(entry.time_ns)}, was never finished: the "
             f"controller holds {found or 'neither all old nor all new files'}; restore "
             f"{entry.before_hash} before the axis moves"
         )
@@ -255,7 +261,7 @@ class Feed:
         self._store.lock()
         return offer
 
-    def _to_restore(self, kept_hash: str) -> Entry:
+    def _to_restore(self, kept_hash: str) -> JournalEntry:
         entry = self._journal.change_from(kept_hash)
         if entry is not None:
             return entry
@@ -304,16 +310,16 @@ class Feed:
         from_ns = table.measured_from_ns or stamp_ns
         then = self._journal.held_while(from_ns, table.measured_until_ns or stamp_ns)
         wrong = [event for event in then if event[1] != stated]
-        if not wrong and known_hash(stated):  # nor may it have come only then
+        if not wrong and is_table_hash(stated):  # nor may it have come only then
             wrong = [event for event in then[:1] if event[0] > from_ns]
         if not wrong:
             return
         since_ns, held = wrong[0]
         raise DataError(
             f"{claim}, but according to the journal of this bridge the controller held "
-            f"{f'the table {held[:12]}' if known_hash(held) else 'no table'} then (since "
-            f"{utc(since_ns)}): so the statement about the measurement is wrong, and would spoil "
-            "the correction. Measure again, and let this bridge announce what is "
+            f"{f'the table {held[:12]}' if is_table_hash(held) else 'no table'} then (since "
+            f"{format_utc(since_ns)}): so the statement about the measurement is wrong, and would "
+            "spoil the correction. Measure again, and let this bridge announce what is "
             "in force (leave cell.table_in_force out)"
         )
 
@@ -326,12 +332,12 @@ class Feed:
     ) -> CompensationTable:
         """Return ``table`` if it belongs to this cell and to the machine of the one in force."""
         machines = {"this cell": self._cell, "the table in force": held}
-        return agreeing(table, machines, self.settings.accepted, now_ns, stamp_ns)
+        return check_table_for_machines(table, machines, self.settings.accepted, now_ns, stamp_ns)
 
     def _refuse_unused(self, offer: TableOffer) -> None:
         """Refuse a table that the machine's own files would ignore, or read differently."""
         controller = self._controller.for_axis(self.axis)
-        files = of_the_controller(offer.files)
+        files = without_provenance(offer.files)
         if wrong := controller.not_in_use(self.axis, files, Path(self.settings.controller_folder)):
             raise DataError(f"the machine would not use the table: {'; '.join(wrong)}")
 
@@ -339,7 +345,7 @@ class Feed:
         base = offer.table.adds_to
         if base and (found := self.in_force()) != base:
             since = [ns for ns, held in self._journal.history() if held == base]
-            when = f", which it was given at {utc(since[-1])}" if since else ""
+            when = f", which it was given at {format_utc(since[-1])}" if since else ""
             raise DataError(
                 f"the table adds to the table {base[:12]}{when}, and what is in force now is "
                 f"{found[:12]}: measure again with what the controller holds now"
@@ -378,7 +384,7 @@ class Feed:
     def _refuse_busy(self) -> None:
         command = self.settings.busy_command or self._controller.busy_command
         timeout_s = self.settings.answer_timeout_s
-        if work := self._store.busy() or ask_busy(command, timeout_s):
+        if work := self._store.busy() or ask_machine_activity(command, timeout_s):
             raise ControllerError(
                 f"the machine is at work: {work}; wait until it stands, then apply again. "
                 "Nothing was changed"
@@ -391,11 +397,11 @@ class Feed:
         wanted: Contents,
         change: float,
         table_hash: str,
-    ) -> Applied:
+    ) -> AppliedChange:
         self._refuse_busy()
         entry = self._exchanging.make(words, held, wanted, table_hash)
-        paths = tuple(map(self._store.address, texts_of(wanted)))
-        return Applied(paths, self._journal.folder / entry.backup, change)
+        paths = tuple(map(self._store.address, existing_files(wanted)))
+        return AppliedChange(paths, self._journal.folder / entry.backup, change)
 
 
 GRID_STEP: Final = 0.25 * DEGREE
@@ -439,7 +445,7 @@ def _span(provenance: str) -> tuple[float, float] | None:
 def _correction(
     controller: Controller, files: Mapping[str, str], grid: Floats, approach: Approach
 ) -> Floats:
-    tables = of_the_controller(files)
+    tables = without_provenance(files)
     if not tables:
         return np.full_like(grid, controller.without_table(approach))
     try:
@@ -452,7 +458,7 @@ def _correction(
     return rule.correction(grid, approach)
 
 
-def ask_busy(command: Sequence[str], timeout_s: float) -> str | None:
+def ask_machine_activity(command: Sequence[str], timeout_s: float) -> str | None:
     """Return what the machine is doing in words; None when it rests or cannot be asked.
 
     ``command`` ends with exit code 0 if the machine rests, else with 1 and a line that says why;
@@ -482,7 +488,7 @@ def ask_busy(command: Sequence[str], timeout_s: float) -> str | None:
 
 
 @dataclass(frozen=True)
-class Exchange:
+class FileExchange:
     """Changes the files in ``store`` and notes it in ``journal``; ``now_ns`` since 1970."""
 
     store: ControllerStore
@@ -491,7 +497,7 @@ class Exchange:
 
     def make(
         self, words: tuple[Action, Action], held: Mapping[str, str], wanted: Contents, table: str
-    ) -> Entry:
+    ) -> JournalEntry:
         """Keep what is ``held``, write what is ``wanted``, and note both ends of it.
 
         ``words`` name begin and end, ``table`` is the hash of the table. Returns what was noted at
@@ -506,7 +512,7 @@ class Exchange:
             )
         kept = self.journal.keep(before, now_ns)
         hashes = contents_hash(before), contents_hash(wanted)
-        entry = Entry(words[0], now_ns, table, kept, *hashes)
+        entry = JournalEntry(words[0], now_ns, table, kept, *hashes)
         self.journal.note(entry)
         try:
             self._write(held, wanted)
@@ -516,13 +522,13 @@ class Exchange:
         self._end(entry, words[1], wanted)
         return entry
 
-    def _put_back(self, before: Contents, entry: Entry, error: ControllerError) -> str:
+    def _put_back(self, before: Contents, entry: JournalEntry, error: ControllerError) -> str:
         """Put back what was there before, and return in words what had to be done."""
         try:
             found = self.store.read(before)
             self._write(found, before)
             self._end(entry, "rolled_back", before)
-            if found == texts_of(before):
+            if found == existing_files(before):
                 return "the controller holds what it held before, nothing had to be put back"
             return "the old table was put back"
         except (ControllerError, OSError) as second:
@@ -532,9 +538,9 @@ class Exchange:
                 f"{self.journal.folder / entry.backup}; restore it before the axis moves"
             ) from second
 
-    def _end(self, entry: Entry, action: Action, contents: Contents) -> None:
+    def _end(self, entry: JournalEntry, action: Action, contents: Contents) -> None:
         """Note how a change ended, and what the controller holds from then on."""
-        in_force = in_force_of(texts_of(contents))
+        in_force = hash_in_force(existing_files(contents))
         self.journal.note(replace(entry, action=action, time_ns=self.now_ns(), in_force=in_force))
 
     def _write(self, held: Mapping[str, str], wanted: Contents) -> None:
@@ -558,7 +564,7 @@ def write_steps(held: Mapping[str, str], wanted: Contents) -> list[dict[str, str
     """
     changed = {name: text for name, text in wanted.items() if held.get(name) != text}
     table = next(iter(wanted))
-    if not of_the_controller({n: "" for n in changed if n != table}):
+    if not without_provenance({n: "" for n in changed if n != table}):
         return [changed] if changed else []
     others = {name: text for name, text in changed.items() if name != table}
     steps: list[dict[str, str | None]] = [others]

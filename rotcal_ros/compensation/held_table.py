@@ -19,7 +19,7 @@ from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity
 from rotcal_ros.compensation.controller import Controller, Rule
 from rotcal_ros.compensation.journal import contents_hash
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, of_the_controller
+from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, without_provenance
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.directional import directional_curve
@@ -73,9 +73,9 @@ class HeldTable:
         return np.subtract(*ends) / (2.0 * half)
 
 
-def in_force_of(files: Mapping[str, str]) -> str:
+def hash_in_force(files: Mapping[str, str]) -> str:
     """Return the SHA-256 of a controller's own ``files``, without side files; "none" for none."""
-    tables = of_the_controller(files)
+    tables = without_provenance(files)
     return contents_hash(tables) if tables else NONE
 
 
@@ -100,23 +100,23 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
             "table and replace it"
         ) from error
     try:
-        rule = controller.read(of_the_controller(files))
+        rule = controller.read(without_provenance(files))
     except BagError as error:
         raise BagError(f"{error}; restore the file, or measure without a table") from error
     return HeldTable(
-        in_force=in_force_of(files),
+        in_force=hash_in_force(files),
         rule=rule,
         angles=angles,
         period=period,
         reference_angle=reference,
         first=controller.travel[0] if period else 0.0,
-        machine=machine_of(files),
+        machine=machine_from_files(files),
         zero=zero,
         stated=stated,
     )
 
 
-def machine_of(files: Mapping[str, str]) -> MachineIdentity:
+def machine_from_files(files: Mapping[str, str]) -> MachineIdentity:
     """Return the machine that ``files`` were made for, by the side file among them."""
     try:
         side = load_json(_side(files))
@@ -147,7 +147,7 @@ chance."""
 
 
 @dataclass(frozen=True)
-class Effect:
+class CorrectionEffect:
     """How much is left of what the table in force corrects: 0 for one that acts.
 
     ``factor`` is the regression factor, ``std`` its standard uncertainty (k = 1), ``share`` of the
@@ -179,7 +179,9 @@ class Effect:
         )  # fmt: skip
 
 
-def effect(left: Floats, corrected: Floats, covariance: Floats) -> Effect | None:
+def regress_on_correction(
+    left: Floats, corrected: Floats, covariance: Floats
+) -> CorrectionEffect | None:
     """Return the regression factor of ``left`` (n,) on the ``corrected`` deviations (n,), rad.
 
     ``covariance`` (n, n), rad^2, is that of ``left``; both may count from any zero. None for a
@@ -199,10 +201,10 @@ def effect(left: Floats, corrected: Floats, covariance: Floats) -> Effect | None
     unexplained = max(float(rest @ rest) - noise, 0.0)
     share = 1.0 - unexplained / signal if signal > 0.0 else 0.0
     variance = float(weights @ covariance @ weights)
-    return Effect(factor, float(np.sqrt(max(variance, 0.0))), share)
+    return CorrectionEffect(factor, float(np.sqrt(max(variance, 0.0))), share)
 
 
-def effect_of_result(result: Result, held: HeldTable) -> Effect | None:
+def effect_from_result(result: Result, held: HeldTable) -> CorrectionEffect | None:
     """Return the effect of ``held`` by the ECC of ``result``, which was measured on top of it.
 
     It uses the joint covariance of both directions, if known.
@@ -211,10 +213,10 @@ def effect_of_result(result: Result, held: HeldTable) -> Effect | None:
     ways = DIRECTIONS if curve.both else DIRECTIONS[:1]
     left = np.concatenate([curve.forward, curve.reverse][: len(ways)])
     corrected = np.concatenate([-held.correction(curve.angles, way) for way in ways])
-    return effect(left, corrected, curve.covariance[: len(left), : len(left)])
+    return regress_on_correction(left, corrected, curve.covariance[: len(left), : len(left)])
 
 
-def effect_on(table: CompensationTable, held: HeldTable) -> Effect | None:
+def effect_from_table(table: CompensationTable, held: HeldTable) -> CorrectionEffect | None:
     """Return the effect of ``held`` by ``table``, which was measured on top of it.
 
     A table has a standard uncertainty for each value but no correlations: the one of the factor is
@@ -226,4 +228,4 @@ def effect_on(table: CompensationTable, held: HeldTable) -> Effect | None:
     corrected = np.concatenate([-held.correction(table.angles, way) for way in ways])
     std = np.concatenate([table.std_of(way) for way in ways])
     worst = std * np.sign(corrected - np.mean(corrected))
-    return effect(left, corrected, np.outer(worst, worst))
+    return regress_on_correction(left, corrected, np.outer(worst, worst))

@@ -18,7 +18,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
-from rotcal_ros.foundation.curves.interpolation import regular_root
+from rotcal_ros.foundation.curves.interpolation import regularised_cholesky
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -34,24 +34,24 @@ Weights = Callable[[DirectionalCurve, Floats], Floats]
 """Returns for a curve and angles (m,), rad, the weights (m, n) of a table on its n values."""
 
 
-def without_gaps(
+def cut_at_wide_gaps(
     curve: DirectionalCurve, weights: Weights, reference: float
 ) -> tuple[DirectionalCurve, float]:
-    """Return ``curve``, as an arc where it does not go round, and its :func:`between_std`, rad.
+    """Return ``curve``, an arc where it does not go round, and its :func:`interpolation_std`, rad.
 
     A gap is too wide when the uncertainty inside it exceeds half the range of the curve. At the
     ends of the measured angles it makes them an arc; DataError for one between them.
     """
-    gaps, std = gaps_of(curve.angles, curve.period), between_std(curve, weights, reference)
+    gaps, std = gaps_of(curve.angles, curve.period), interpolation_std(curve, weights, reference)
     wide = (gaps > GAP * np.median(gaps)) & (std * CERTAIN > np.ptp(curve.stacked) / 2.0)
     if curve.period and wide[-1] and not np.any(wide[:-1]):
-        return without_gaps(replace(curve, period=0.0), weights, reference)
+        return cut_at_wide_gaps(replace(curve, period=0.0), weights, reference)
     if np.any(wide):
         raise DataError(_too_wide(curve, gaps, std, wide))
     return curve, float(np.max(std))
 
 
-def between_std(curve: DirectionalCurve, weights: Weights, reference: float) -> Floats:
+def interpolation_std(curve: DirectionalCurve, weights: Weights, reference: float) -> Floats:
     """Return the additional uncertainty inside each gap (n or n - 1,).
 
     It is the largest standard uncertainty, rad, on top of the largest at the measured angles: from
@@ -69,18 +69,20 @@ def between_std(curve: DirectionalCurve, weights: Weights, reference: float) -> 
         sides.append((curve.reverse, curve.reverse_covariance))
     variance = np.zeros(at.shape)
     for values, covariance in sides:
-        content = content_of(curve.angles, values, covariance)
+        content = fit_harmonic_kernels(curve.angles, values, covariance)
         missed = np.sqrt(content.missed(inside, curve.angles, at.ravel()))
         missed += np.sqrt(content.missed(zero, curve.angles, here))
         # An error common to all values shifts the curve, and bends it nowhere between them.
         bending = centring @ covariance @ centring
-        gained = variances(inside, bending) - np.max(variances(rows, bending))
+        gained = propagated_variances(inside, bending) - np.max(
+            propagated_variances(rows, bending)
+        )
         total = (missed**2 + np.maximum(gained, 0.0)).reshape(at.shape)
         variance = np.maximum(variance, total)
     return np.asarray(np.sqrt(variance.max(axis=1)), dtype=np.float64)
 
 
-def variances(weights: Floats, covariance: Floats) -> Floats:
+def propagated_variances(weights: Floats, covariance: Floats) -> Floats:
     """Return the variances (m,) of ``weights`` (m, n) @ values with ``covariance`` (n, n)."""
     return np.asarray(np.sum((weights @ covariance) * weights, axis=1), dtype=np.float64)
 
@@ -109,7 +111,7 @@ EXACT: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Content:
+class HarmonicKernels:
     """Kernels that fall by ``decay`` (m,) from order to order, of ``variance`` (m,) S^2."""
 
     decay: Floats
@@ -119,7 +121,7 @@ class Content:
         """Return the covariance of the curve at two angles that are ``apart`` (rad), any shape."""
         cosine = np.cos(apart)
         kinds = zip(self.decay, self.variance, strict=True)
-        total = (size * harmonics(cosine, decay) for decay, size in kinds if size > 0.0)
+        total = (size * damped_cosine_sum(cosine, decay) for decay, size in kinds if size > 0.0)
         return np.asarray(sum(total, np.zeros_like(cosine)), dtype=np.float64)
 
     def missed(self, weights: Floats, nodes: Floats, at: Floats) -> Floats:
@@ -134,7 +136,7 @@ class Content:
         return np.asarray(np.maximum(variance - 2.0 * across + of_the_line, 0.0), dtype=np.float64)
 
 
-def content_of(nodes: Floats, values: Floats, covariance: Floats) -> Content:
+def fit_harmonic_kernels(nodes: Floats, values: Floats, covariance: Floats) -> HarmonicKernels:
     """Return the content of a curve with ``values`` (n,) at ``nodes`` (n,) rad.
 
     ``covariance`` (n, n) is that of the values; their common part says nothing, nor does a
@@ -142,20 +144,22 @@ def content_of(nodes: Floats, values: Floats, covariance: Floats) -> Content:
     """
     size, n = float(np.ptp(values)), len(values)
     if size < NOTHING:
-        return Content(np.zeros(1), np.zeros(1))
+        return HarmonicKernels(np.zeros(1), np.zeros(1))
     size = max(size, QUIET * float(np.sqrt(np.trace(covariance) / n)))
-    root = regular_root(covariance / size**2 + EXACT**2 * np.eye(n))
+    root = regularised_cholesky(covariance / size**2 + EXACT**2 * np.eye(n))
     white = np.linalg.solve(root, np.column_stack([np.ones(n), values / size, np.eye(n)]))
     without_constant = np.linalg.qr(white[:, :1], mode="complete")[0][:, 1:].T
     seen, into = without_constant @ white[:, 1], without_constant @ white[:, 2:]
     decay = np.exp(-1.0 / np.geomspace(SHORTEST, LONGEST * n, LENGTHS))
     cosine = np.cos(nodes[:, None] - nodes)
-    evidence = np.array([_evidence(into @ harmonics(cosine, r) @ into.T, seen) for r in decay])
+    evidence = np.array(
+        [_evidence(into @ damped_cosine_sum(cosine, r) @ into.T, seen) for r in decay]
+    )
     share = np.exp(evidence - evidence.max())
-    return Content(decay, share @ SIZES**2 / share.sum() * size**2)
+    return HarmonicKernels(decay, share @ SIZES**2 / share.sum() * size**2)
 
 
-def harmonics(cosine: Floats, decay: float) -> Floats:
+def damped_cosine_sum(cosine: Floats, decay: float) -> Floats:
     """Return sum over k = 1, 2, ... of decay^k cos(k t), from the ``cosine`` of t."""
     return np.asarray(
         (decay * cosine - decay**2) / (1.0 - 2.0 * decay * cosine + decay**2), dtype=np.float64

@@ -13,7 +13,7 @@ from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.foundation.files import append_line
 from rotcal_ros.foundation.records import record
-from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, load_json, read_text
 
 Action = Literal["applying", "applied", "restoring", "restored", "rolled_back"]
 BEGUN: Final = ("applying", "restoring")
@@ -24,7 +24,7 @@ Contents = Mapping[str, str | None]
 
 
 @dataclass(frozen=True)
-class Entry:
+class JournalEntry:
     """One event at ``time_ns``; ``backup`` names the folder with what was there before.
 
     ``before_hash`` and ``after_hash`` (:func:`contents_hash`) are the contents before the change
@@ -47,13 +47,13 @@ def contents_hash(files: Contents) -> str:
     return hashlib.sha256(json.dumps(dict(files), sort_keys=True).encode()).hexdigest()
 
 
-def texts_of(files: Contents) -> dict[str, str]:
+def existing_files(files: Contents) -> dict[str, str]:
     """Return the files that exist."""
     return {name: text for name, text in files.items() if text is not None}
 
 
-def _entry(data: Any) -> Entry:
-    entry = record(Entry, data)
+def _entry(data: Any) -> JournalEntry:
+    entry = record(JournalEntry, data)
     if Path(entry.backup).name != entry.backup:
         raise ValueError(f"the backup {entry.backup!r} is not a folder beside the journal")
     return entry
@@ -71,7 +71,7 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[JournalEntry]:
         """Return all events; a last line that a crash cut off does not count."""
         path = self.folder / FILE
         if not path.exists():
@@ -81,11 +81,11 @@ class Journal:
             return [_entry(load_json(line)) for line in lines]
         except (OSError, ValueError) as error:
             raise ControllerError(
-                f"{path} is damaged: {why(error)}; the last applied table is not known; look at "
-                "the controller, then move the file away"
+                f"{path} is damaged: {cause_of(error)}; the last applied table is not known; look "
+                "at the controller, then move the file away"
             ) from error
 
-    def note(self, entry: Entry) -> None:
+    def note(self, entry: JournalEntry) -> None:
         """Append an event; ControllerError when that is not possible."""
         try:
             append_line(self.folder / FILE, json.dumps(asdict(entry)).encode() + b"\n")
@@ -111,10 +111,10 @@ class Journal:
             return _contents(load_json(read_text(path)))
         except (OSError, ValueError) as error:
             raise ControllerError(
-                f"the old table in {path} cannot be read: {why(error)}"
+                f"the old table in {path} cannot be read: {cause_of(error)}"
             ) from error
 
-    def kept_before(self, entry: Entry) -> dict[str, str | None]:
+    def kept_before(self, entry: JournalEntry) -> dict[str, str | None]:
         """Return the contents from before ``entry``; ControllerError if changed since."""
         files = self.kept(entry.backup)
         if entry.before_hash != contents_hash(files):
@@ -124,9 +124,9 @@ class Journal:
             )
         return files
 
-    def to_undo(self) -> Entry | None:
+    def to_undo(self) -> JournalEntry | None:
         """Return the last change that was not undone, even one that a crash cut off."""
-        stack: list[Entry] = []
+        stack: list[JournalEntry] = []
         for entry in self.entries():
             if entry.action in BEGUN:
                 stack.append(entry)
@@ -136,19 +136,19 @@ class Journal:
                 self._undo(stack, entry)
         return stack[-1] if stack else None
 
-    def _undo(self, stack: list[Entry], restored: Entry) -> None:
+    def _undo(self, stack: list[JournalEntry], restored: JournalEntry) -> None:
         """Remove the changes that are undone; a restore of anything else is itself a change."""
         for index in range(len(stack) - 2, -1, -1):
             if stack[index].before_hash == restored.after_hash:
                 del stack[index:]
                 return
 
-    def change_from(self, kept_hash: str) -> Entry | None:
+    def change_from(self, kept_hash: str) -> JournalEntry | None:
         """Return the last change before which the controller held the contents with this hash."""
         begun = (e for e in reversed(self.entries()) if e.action in BEGUN)
         return next((e for e in begun if e.before_hash == kept_hash), None)
 
-    def unfinished(self) -> Entry | None:
+    def unfinished(self) -> JournalEntry | None:
         """Return the change whose begin was noted, but not its end."""
         entries = self.entries()
         return entries[-1] if entries and entries[-1].action in BEGUN else None

@@ -34,19 +34,23 @@ from rotcal_ros.compensation.controller import (
 )
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
-    every_turn,
     fixed,
     only_file,
+    repeat_for_turns,
     require_at_most,
 )
-from rotcal_ros.compensation.linuxcnc_kinematics import KINEMATICS, machine_of, pins
+from rotcal_ros.compensation.linuxcnc_kinematics import (
+    KINEMATICS,
+    kinematics_and_unit,
+    pins_in_hal,
+)
 from rotcal_ros.compensation.linuxcnc_machine import (
     AGENT,
     ENCODING,
     SERVO_PERIOD_NS,
-    Ini,
+    IniFile,
     Joint,
-    every_joint,
+    all_joints,
 )
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -66,7 +70,8 @@ UNKNOWN_LIMITS: Final = (
 )
 UNKNOWN_BACKLASH: Final = (
     "BACKLASH of the joint is not known: LinuxCNC ignores it once it has a table, and then what "
-    "it corrected in the measurement is missing (setting machine_ini, or backlash_deg, 0 for none)"
+    "it corrected in the measurement is missing: state --set backlash_deg=DEG, 0 for none, or "
+    "--set machine_ini=FILE"
 )
 DECIMALS: Final = 9
 
@@ -203,7 +208,7 @@ class LinuxCnc(EveryTurnController):
                 "the ini lines hold no COMP_FILE_TYPE = 0 or 1: LinuxCNC would take the default 0 "
                 "and read trims as positions"
             )
-        loaded = load(text, int(kind.group(1)))
+        loaded = load_as_linuxcnc(text, int(kind.group(1)))
         lines = text.count("\n") + (not text.endswith("\n"))
         if loaded.messages or len(loaded.nominal_deg) != lines or lines == 0:
             raise BagError(
@@ -256,18 +261,23 @@ class LinuxCnc(EveryTurnController):
             "state it: backlash_deg, 0 for none"
         )
 
+    def require_stated(self, table: CompensationTable) -> None:
+        """Raise ConfigurationError where nothing states BACKLASH, and no table was in force."""
+        if self.backlash_deg is None and not table.adds_to:
+            raise ConfigurationError(UNKNOWN_BACKLASH)
+
     def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
         """Return HAL lines for the pins of the kinematics."""
         kinematics, unit_m = self.kinematics, MILLIMETRE
         if self.machine_ini:
-            kinematics, unit_m = machine_of(Ini.read(Path(self.machine_ini)))
-        return pins(lines, stem, head, kinematics, unit_m)
+            kinematics, unit_m = kinematics_and_unit(IniFile.read(Path(self.machine_ini)))
+        return pins_in_hal(lines, stem, head, kinematics, unit_m)
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
         """Return what remains because of the lag of the trim."""
         if not self.max_acceleration_deg_s2:
             return Lag(notes=(UNKNOWN_LIMITS,))
-        following = Following(
+        following = JointLimits(
             acceleration=self.max_acceleration_deg_s2 * DEGREE,
             velocity=(self.max_velocity_deg_s or np.inf) * DEGREE,
             period=(self.servo_period_ns or SERVO_PERIOD_NS) * NANOSECOND,
@@ -277,7 +287,7 @@ class LinuxCnc(EveryTurnController):
         start = self.first_turn * TURN if table.closed else 0.0
         up, down = (rule.correction(start + angles, approach) for approach in DIRECTIONS)
         feed = (self.feed_deg_s or self.max_velocity_deg_s) * DEGREE
-        return lag(following, angles, up, down, feed, table.closed, self.home_deg * DEGREE)
+        return trim_lag(following, angles, up, down, feed, table.closed, self.home_deg * DEGREE)
 
     def not_in_use(self, axis: str, files: Mapping[str, str], folder: Path) -> tuple[str, ...]:
         """Return why the machine of ``machine_ini`` would not use the table as intended."""
@@ -295,12 +305,12 @@ class LinuxCnc(EveryTurnController):
             return {}
         joint = self._joint(axis)
         _, lines = only_file(files, ".ini")
-        written = Ini(joint.ini.path, lines)
+        written = IniFile(joint.ini.path, lines)
         values = {key: written.value(joint.section, key) or "" for key in LINES}
         return {joint.ini.path.name: joint.ini.merged(joint.section, values)}
 
     def _joint(self, axis: str) -> Joint:
-        return Joint.of_axis(Ini.read(Path(self.machine_ini)), axis, self.joint)
+        return Joint.of_axis(IniFile.read(Path(self.machine_ini)), axis, self.joint)
 
     def _every_turn(self, *columns: Floats) -> tuple[Floats, Floats, Floats]:
         """Repeat angles, forward and reverse column (n,) of a closed turn for all turns."""
@@ -313,7 +323,7 @@ class LinuxCnc(EveryTurnController):
             f"choose a spacing of at least {360 * self.turns / (MAX_ROWS - 1):.3g} deg"
             + (f", or at most {fit} turns at this spacing" if fit else ""),
         )
-        angles, up, down = every_turn(self.first_turn, self.turns, *columns)
+        angles, up, down = repeat_for_turns(self.first_turn, self.turns, *columns)
         return angles, up, down
 
     @property
@@ -332,7 +342,7 @@ class LinuxCnc(EveryTurnController):
         return *AGENT, "-ini", self.machine_ini, "--busy"
 
 
-def load(text: str, file_type: int) -> LoadedComp:
+def load_as_linuxcnc(text: str, file_type: int) -> LoadedComp:
     """Load a table as LinuxCNC does, including silent stops and skipped rows."""
     rows: list[tuple[float, float, float]] = []
     messages: list[str] = []
@@ -374,7 +384,7 @@ EDGE: Final = 0.01
 
 
 @dataclass(frozen=True)
-class Following:
+class JointLimits:
     """The limits of a joint: ``acceleration`` (rad/s^2), ``velocity`` (rad/s), ``period`` (s)."""
 
     acceleration: float
@@ -452,8 +462,8 @@ class Following:
         return worst
 
 
-def lag(
-    following: Following,
+def trim_lag(
+    following: JointLimits,
     angles: Floats,
     forward: Floats,
     reverse: Floats,
@@ -482,7 +492,7 @@ def lag(
     return Lag(bound, max(standing, at_first), tuple(notes))
 
 
-def _standing_note(following: Following, standing: float, reversal: Floats) -> str:
+def _standing_note(following: JointLimits, standing: float, reversal: Floats) -> str:
     low, high = np.array([following.at_once, following.in_motion]) / ARCSEC
     sizes = np.abs(reversal) / ARCSEC
     return (
@@ -493,7 +503,7 @@ def _standing_note(following: Following, standing: float, reversal: Floats) -> s
     )
 
 
-def _homing_note(following: Following, standing: float, home: float) -> str:
+def _homing_note(following: JointLimits, standing: float, home: float) -> str:
     low, high = np.array([following.at_once, following.in_motion]) / ARCSEC
     return (
         f"the trim is 0 when the axis has been homed, at {home / DEGREE:.6g} deg, and stands "
@@ -503,7 +513,7 @@ def _homing_note(following: Following, standing: float, home: float) -> str:
     )
 
 
-def _behind_note(following: Following, steepest: float, feed: float, behind: float) -> str:
+def _behind_note(following: JointLimits, steepest: float, feed: float, behind: float) -> str:
     how = "more and more" if np.isinf(behind) else f"up to {behind / ARCSEC:.3g} arcsec"
     return (
         f"the trim follows up to a feed of {following.fastest_feed(steepest) / DEGREE:.4g} deg/s, "
@@ -516,13 +526,13 @@ LARGEST_TRIM_DEG = 1.0
 """No table compensates more than this; trims read as positions give angles of the whole travel."""
 
 
-def hook_up(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
+def find_loaded_tables(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield every table that the machine of the ini file ``path`` loads, with its faults.
 
     A rotary joint without a table is among them if it has a BACKLASH, which a table would put out
     of force. Raises ConfigurationError when the ini file cannot be read or makes no sense.
     """
-    for joint in every_joint(Ini.read(path)):
+    for joint in all_joints(IniFile.read(path)):
         amount, table = joint.backlash_deg, joint.table_path
         faults = [joint.misplaced] if joint.misplaced else []
         size = f" deg ({amount * DEGREE / ARCSEC:.6g} arcsec)" if joint.is_angular else ""
@@ -544,7 +554,7 @@ def _complaints(joint: Joint, table: Path) -> Iterator[str]:
     except OSError as error:
         yield f"{table}: {error.strerror}: LinuxCNC does not start"
         return
-    loaded = load(text, joint.table_type)
+    loaded = load_as_linuxcnc(text, joint.table_type)
     lines = len(text.splitlines())
     if loaded.messages or lines != len(loaded.nominal_deg) or lines == 0:
         yield f"of {lines} lines LinuxCNC uses {len(loaded.nominal_deg)}"

@@ -15,10 +15,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from rotcal_ros.compensation.axis_location import DECIMALS, millimetres
+from rotcal_ros.compensation.axis_location import DECIMALS, rounded_lengths
 from rotcal_ros.compensation.controller import Located
 from rotcal_ros.compensation.controller_files import fixed
-from rotcal_ros.compensation.linuxcnc_machine import Ini
+from rotcal_ros.compensation.linuxcnc_machine import IniFile
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.results import AxisLine
@@ -34,7 +34,7 @@ UNITS: Final = {
 HEIGHT_M: Final = 0.1
 
 
-def machine_of(ini: Ini) -> tuple[str, float]:
+def kinematics_and_unit(ini: IniFile) -> tuple[str, float]:
     """Return kinematics and linear unit (m) of a machine; ConfigurationError for other ones."""
     name = ((ini.value("KINS", "KINEMATICS") or "").split() or [""])[0]
     if name not in KINEMATICS:
@@ -50,7 +50,7 @@ def machine_of(ini: Ini) -> tuple[str, float]:
     return name, UNITS[unit]
 
 
-def pins(
+def pins_in_hal(
     lines: Sequence[AxisLine], stem: str, head: Sequence[str], kinematics: str, unit_m: float
 ) -> Located:
     """Return the HAL lines that set the pins for ``lines``, in units of ``unit_m``.
@@ -71,7 +71,9 @@ def pins(
         place = tilting[0].point
         offset = place["xyz".index(across)] - values[f"{across}-rot-point"]
         values |= {"z-rot-point": place[2], f"{across}-offset": offset, "z-offset": 0.0}
-    written = dict(zip(values, millimetres(list(values.values()), unit_m).tolist(), strict=True))
+    written = dict(
+        zip(values, rounded_lengths(list(values.values()), unit_m).tolist(), strict=True)
+    )
     text = [*(f"# {line}" for line in head)]
     text += [f"setp {kinematics}.{pin} {fixed(x, DECIMALS)}" for pin, x in written.items()]
     notes = tuple(_left(table, tilting, letter, across))

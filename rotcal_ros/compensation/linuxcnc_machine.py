@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.untrusted import read_bytes, reading
+from rotcal_ros.foundation.untrusted import read_bytes, read_errors_as
 
 AGENT: Final = (
     "/usr/bin/python3",
@@ -42,12 +42,12 @@ MOST_JOINTS: Final = 16
 class Joint:
     """Joint ``number`` of the machine of ``ini``, the axis ``letter``; degrees and seconds."""
 
-    ini: Ini
+    ini: IniFile
     number: int
     letter: str
 
     @classmethod
-    def of_axis(cls, ini: Ini, letter: str, number: int) -> Joint:
+    def of_axis(cls, ini: IniFile, letter: str, number: int) -> Joint:
         """Return the joint of the axis: with trivkins the one in the ini file.
 
         Other kinematics do not say which joint is the table: then it is ``number``. Raises
@@ -176,7 +176,7 @@ class Joint:
         return self.ini.value(self.section, key)
 
 
-def every_joint(ini: Ini) -> list[Joint]:
+def all_joints(ini: IniFile) -> list[Joint]:
     """Return all joints; ConfigurationError for more than there can be."""
     count = int(ini.number("KINS", "JOINTS", 1))
     if count > MOST_JOINTS:
@@ -197,11 +197,11 @@ def agent_command(ini: str, axis: str, number: int) -> list[str]:
         raise ConfigurationError(
             "linuxcnc_driver: parameter ini_file is missing: give the machine's ini file"
         )
-    joint = Joint.of_axis(Ini.read(Path(ini)), axis, number)
+    joint = Joint.of_axis(IniFile.read(Path(ini)), axis, number)
     return [*AGENT, "-ini", ini, "--axis", joint.letter, "--joint", str(joint.number)]
 
 
-def _joints(ini: Ini, letter: str) -> list[int]:
+def _joints(ini: IniFile, letter: str) -> list[int]:
     """Return the joints of an axis; empty: the kinematics do not say."""
     letters = _coordinates(ini)
     found = [number for number, name in enumerate(letters) if name == letter]
@@ -213,7 +213,7 @@ def _joints(ini: Ini, letter: str) -> list[int]:
     return found
 
 
-def _coordinates(ini: Ini) -> str:
+def _coordinates(ini: IniFile) -> str:
     kinematics, *options = (ini.value("KINS", "KINEMATICS") or "").split() or [""]
     if kinematics != "trivkins":
         return ""
@@ -230,16 +230,16 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\d.xX
 
 
 @dataclass(frozen=True)
-class Ini:
+class IniFile:
     """The text of the ini file at ``path``; ConfigurationError when it cannot be read."""
 
     path: Path
     text: str
 
     @classmethod
-    def read(cls, path: Path) -> Ini:
+    def read(cls, path: Path) -> IniFile:
         """Read the file; ConfigurationError when there is none."""
-        with reading(path, ConfigurationError, "the machine's ini file "):
+        with read_errors_as(path, ConfigurationError, "the machine's ini file "):
             return cls(path, read_bytes(path).decode(ENCODING))
 
     def value(self, section: str, key: str) -> str | None:
@@ -316,7 +316,7 @@ class Ini:
         """
         for line in self.text.splitlines():
             if include := _INCLUDE.fullmatch(line):
-                yield from Ini.read(self.path.parent / include[1]).text.splitlines()
+                yield from IniFile.read(self.path.parent / include[1]).text.splitlines()
             else:
                 yield line
 

@@ -13,14 +13,14 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.axis_location import millimetres
+from rotcal_ros.compensation.axis_location import rounded_lengths
 from rotcal_ros.compensation.controller import Controller, Facts, Located
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     fixed,
+    interpolate_periodically,
     only_file,
     parse_rows,
-    periodic,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
@@ -51,7 +51,7 @@ class CsvTable:
         """Return the correction (rad), linear; 0 .. 360 deg repeats, an arc holds its ends."""
         column = self.forward_arcsec if approach is Approach.POSITIVE else self.reverse_arcsec
         if (self.angle_deg[0], self.angle_deg[-1]) == (0.0, 360.0):
-            return periodic(angle, self.angle_deg, column) * ARCSEC
+            return interpolate_periodically(angle, self.angle_deg, column) * ARCSEC
         at = np.asarray(angle) / DEGREE
         return np.asarray(np.interp(at, self.angle_deg, column) * ARCSEC, dtype=np.float64)
 
@@ -90,7 +90,7 @@ class PlainCsv(Controller):
         rows = [["axis", *names]]
         values = dict[str, float]()
         for line in lines:
-            numbers = [*millimetres(line.point), *np.round(line.direction, ANGLE_DECIMALS)]
+            numbers = [*rounded_lengths(line.point), *np.round(line.direction, ANGLE_DECIMALS)]
             values |= {f"{line.letter} {n}": float(x) for n, x in zip(names, numbers, strict=True)}
             rows.append([line.letter, *(fixed(x, ANGLE_DECIMALS) for x in numbers)])
         text = "\n".join(",".join(row) for row in rows) + "\n"

@@ -10,12 +10,12 @@ from typing import Any, Final, Protocol
 
 from rotcal_ros.compensation.agreement import (
     LARGEST_AGE_DAYS,
-    Accepted,
+    AcceptedConflicts,
     MachineIdentity,
-    words_of,
+    split_words,
 )
 from rotcal_ros.compensation.controllers import parse_options, parse_revolutions
-from rotcal_ros.compensation.earlier_export import to_be_in_force
+from rotcal_ros.compensation.earlier_export import combine_with_earlier_export
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, require_one_axis, table_from_result
 from rotcal_ros.compensation.writing import write_files
@@ -26,7 +26,7 @@ from rotcal_ros.foundation.units import DEGREE
 DEFAULT_AXIS: Final = "C"
 
 
-class Measured(Protocol):
+class MeasuredAxisResult(Protocol):
     """A result, the ``axis`` that was measured as far as its source knows, and its files."""
 
     @property
@@ -77,12 +77,12 @@ class ExportRequest:
         axis = check_axis(self.axis) if self.axis else ""
         return {"the export (--axis, --serial)": MachineIdentity(axis, self.serial or "")}
 
-    def accepted(self) -> Accepted:
+    def accepted(self) -> AcceptedConflicts:
         """Return the contradictions that are accepted."""
         largest_age = LARGEST_AGE_DAYS if self.max_age is None else self.max_age
-        return Accepted(words_of(self.accept), largest_age)
+        return AcceptedConflicts(split_words(self.accept), largest_age)
 
-    def measured_axis(self, forward: Measured) -> str:
+    def measured_axis(self, forward: MeasuredAxisResult) -> str:
         """Return the letter of the axis that was measured."""
         return _recorded_axis(forward) or self.axis or DEFAULT_AXIS
 
@@ -97,15 +97,16 @@ class ExportRequest:
 
 
 def write_export(
-    forward: Measured, asked: ExportRequest, backward: Measured | None = None
+    forward: MeasuredAxisResult, asked: ExportRequest, backward: MeasuredAxisResult | None = None
 ) -> tuple[ExportFiles, tuple[Path, ...]]:
     """Write the files for a controller, after reading them back and simulating it.
 
-    ``backward`` is what was measured in the other direction.
+    ``backward`` is what was measured in the other direction. Raises ConfigurationError for what
+    acts beside the table and has to be stated.
     """
     machines, accepted = asked.machines(), asked.accepted()
     export = prepare_export(
-        to_be_in_force(
+        combine_with_earlier_export(
             _table(forward, backward, asked),
             asked.controller,
             machines,
@@ -124,11 +125,12 @@ def write_export(
         accept_unverified=asked.accept_unverified,
         sources={**forward.sha256, **(backward.sha256 if backward else {})},
     )
+    export.controller.require_stated(export.table)
     return export, write_files(export.with_machine_files(), asked.out)
 
 
 def _table(
-    forward: Measured, backward: Measured | None, asked: ExportRequest
+    forward: MeasuredAxisResult, backward: MeasuredAxisResult | None, asked: ExportRequest
 ) -> CompensationTable:
     """Return the correction table at the measured angles, or on rows of a harmonic fit."""
     axis = asked.measured_axis(forward)
@@ -147,6 +149,6 @@ def _radians(degrees: float | None) -> float | None:
     return None if degrees is None else degrees * DEGREE
 
 
-def _recorded_axis(source: Measured) -> str | None:
+def _recorded_axis(source: MeasuredAxisResult) -> str | None:
     """Return the axis that was measured, by session, bag or result; None: they do not say."""
     return source.axis or source.result.circumstances.axis or None

@@ -13,7 +13,11 @@ from typing import Final, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rotcal_ros.compensation.interpolation_uncertainty import Weights, variances, without_gaps
+from rotcal_ros.compensation.interpolation_uncertainty import (
+    Weights,
+    cut_at_wide_gaps,
+    propagated_variances,
+)
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.directional import DirectionalCurve, directional_curve
@@ -24,13 +28,18 @@ from rotcal_ros.foundation.curves.interpolation import (
     harmonic_estimator,
     interpolation_matrix,
     row_angles,
-    within,
-    wrapped,
+    wrap_to_period,
+    wrap_to_turn,
 )
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
-from rotcal_ros.foundation.in_force import UNKNOWN, agreed, check_in_force, contradiction
+from rotcal_ros.foundation.in_force import (
+    UNKNOWN,
+    agreed_state,
+    check_in_force,
+    describe_contradiction,
+)
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
@@ -264,8 +273,8 @@ def table_from_result(
     """
     weights = _weights_of(harmonics)
     reference = float(result.angles[0] if reference_angle is None else reference_angle)
-    curve, between = without_gaps(directional_curve(result, reverse), weights, reference)
-    reference = wrapped(reference) if curve.period else reference
+    curve, between = cut_at_wide_gaps(directional_curve(result, reverse), weights, reference)
+    reference = wrap_to_turn(reference) if curve.period else reference
     rows = curve.angles if spacing is None else row_angles(curve.angles, curve.period, spacing)
     at = weights(curve, np.append(rows, reference))
     columns = _columns(curve, at)
@@ -345,11 +354,11 @@ def _standard_uncertainties(
 ) -> tuple[Floats, Floats | None]:
     """Return those of both columns; the last row of weights is the zero of the forward one."""
     rows, zero = weights[:-1], weights[-1]
-    up = np.maximum(variances(rows - zero, curve.forward_covariance), 0.0)
+    up = np.maximum(propagated_variances(rows - zero, curve.forward_covariance), 0.0)
     if not curve.both:
         return np.sqrt(up), None
     from_zero = np.hstack([np.tile(-zero, (len(rows), 1)), rows])
-    return np.sqrt(up), np.sqrt(np.maximum(variances(from_zero, curve.covariance), 0.0))
+    return np.sqrt(up), np.sqrt(np.maximum(propagated_variances(from_zero, curve.covariance), 0.0))
 
 
 def _item(result: Result, reverse: Result | None) -> str:
@@ -370,9 +379,9 @@ def _measured_on(result: Result, reverse: Result | None) -> str:
     states = [r.measured_on for r in (result, reverse) if r is not None]
     if UNKNOWN in states:
         return UNKNOWN
-    if clash := contradiction(states):
+    if clash := describe_contradiction(states):
         raise DataError(f"{clash}: measure both directions with the same table in force")
-    return agreed(states)
+    return agreed_state(states)
 
 
 def _left_out(curve: DirectionalCurve, order: int) -> str:
@@ -431,7 +440,7 @@ def resample(
         return table
     rows = table.angles if spacing is None else row_angles(table.angles, table.period, spacing)
     reference = table.reference_angle if reference_angle is None else float(reference_angle)
-    at = np.append(rows, wrapped(reference) if table.closed else reference)
+    at = np.append(rows, wrap_to_turn(reference) if table.closed else reference)
     weights = interpolation_matrix(table.angles, at, table.period)
     up, down = weights @ table.correction_forward, weights @ table.correction_reverse
     zero = 0.0 if reference_angle is None else up[-1] - table.zero
@@ -457,7 +466,7 @@ def _reverse_bound(table: CompensationTable, weights: Floats, *, moved: bool) ->
     return np.asarray(bound, dtype=np.float64)
 
 
-def averaged(table: CompensationTable) -> CompensationTable:
+def average_directions(table: CompensationTable) -> CompensationTable:
     """Return the mean of both directions, zero at the reference angle.
 
     It is for controls with one column. The warnings state what it cannot remove.
@@ -501,11 +510,11 @@ class Correction:
                 f"direction {approach!r}: expected the side from which the table comes: POSITIVE "
                 "(angle increasing) or NEGATIVE"
             )
-        at = within(self.table.angles, angle, self.table.period)
+        at = wrap_to_period(self.table.angles, angle, self.table.period)
         return np.asarray(self._curves[approach](at), dtype=np.float64)
 
     def std(self, angle: ArrayLike, approach: Approach = Approach.POSITIVE) -> Floats:
         """Return the standard uncertainty (rad, k = 1), linear between the rows."""
         angles, period = self.table.angles, self.table.period
-        at, std = within(angles, angle, period), self.table.std_of(approach)
+        at, std = wrap_to_period(angles, angle, period), self.table.std_of(approach)
         return np.asarray(np.interp(at, angles, std, period=period or None))

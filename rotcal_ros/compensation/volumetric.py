@@ -17,10 +17,10 @@ import numpy as np
 
 from rotcal_ros.compensation import controller_files
 from rotcal_ros.compensation.agreement import require_verified
-from rotcal_ros.compensation.axis_location import origin_of
+from rotcal_ros.compensation.axis_location import result_provenance
 from rotcal_ros.compensation.controller import ComponentErrors, Controller
 from rotcal_ros.compensation.table import check_verdict
-from rotcal_ros.compensation.writing import check_stem, side_facts, stem_of, with_side
+from rotcal_ros.compensation.writing import add_side_file, check_stem, choose_stem, side_file_facts
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
@@ -28,7 +28,7 @@ from rotcal_ros.foundation.curves.directional import refuse_lost_reversal
 from rotcal_ros.foundation.curves.interpolation import curve_through
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.foundation.in_force import describe, known_hash
+from rotcal_ros.foundation.in_force import describe, is_table_hash
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import TURN
 
@@ -58,7 +58,7 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         columns[f"u_{name}_{_si_unit(name)}"] = std[name]
     numbers = np.column_stack(list(columns.values()))
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in numbers.tolist())]
-    on_top = [describe(result.measured_on)] if known_hash(result.measured_on) else []
+    on_top = [describe(result.measured_on)] if is_table_hash(result.measured_on) else []
     data = {
         "schema": 1,
         "kind": KIND,
@@ -79,7 +79,9 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "warnings": [*result.warnings, *_one_sided(result, names), *on_top],
     }
     table, facts = "\n".join(lines) + "\n", json.dumps(data, indent=1) + "\n"
-    found = controller_files.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
+    found = controller_files.parse_numbers(
+        f"{stem}.csv", table.splitlines()[1:], len(columns), ","
+    )
     for file, same in (
         ("csv", np.array_equal(found, numbers)),
         ("json", json.loads(facts) == data),
@@ -116,7 +118,7 @@ def prepare_volumetric(
     angles = next(iter(curves.values())).angles
     errors = ComponentErrors(angles, {name: curve.deviation for name, curve in curves.items()})
     usual = f"{check_axis(axis)}_{controller_name}_volumetric"
-    name = stem_of(stem, usual, simulated=result.simulated)
+    name = choose_stem(stem, usual, simulated=result.simulated)
     head = [SIGN, *([NOTHING_MEASURED] if result.simulated else [])]
     written = controller.write_components(errors, name, head)
     if not accept_unverified:
@@ -132,26 +134,26 @@ def prepare_volumetric(
         *(f"not verified: {text}" for text in written.unverified),
     ]
     side = {
-        **side_facts(written.files, now, sources),
+        **side_file_facts(written.files, now, sources),
         "kind": KIND,
         "controller": controller_name,
         "controller_title": controller.facts.title,
         "settings": asdict(controller),
         "source": written.source,
-        **origin_of(result),
+        **result_provenance(result),
         "sign": SIGN,
         "measured_on": result.measured_on,
         "rows": len(angles),
         "left": left,
         "notes": notes,
     }
-    return with_side(written.files, name, side), tuple(notes)
+    return add_side_file(written.files, name, side), tuple(notes)
 
 
 def _refuse(result: Result, axis: str) -> None:
     check_verdict(result)
     refuse_lost_reversal(result)
-    if known_hash(result.measured_on):
+    if is_table_hash(result.measured_on):
         raise DataError(
             f"{describe(result.measured_on)}: a volumetric compensation would replace what that "
             "table corrects; measure without a table"

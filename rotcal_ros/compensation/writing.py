@@ -23,7 +23,7 @@ SCHEMA: Final = 1
 WRITTEN: Final = "written"
 
 
-def side_facts(
+def side_file_facts(
     files: Mapping[str, str], now: datetime, sources: Mapping[str, str] | None
 ) -> dict[str, Any]:
     """Return what every side file says: when ``files`` were written, and of what, with hashes."""
@@ -37,7 +37,7 @@ def side_facts(
     }
 
 
-def with_side(files: Mapping[str, str], name: str, side: Mapping[str, Any]) -> dict[str, str]:
+def add_side_file(files: Mapping[str, str], name: str, side: Mapping[str, Any]) -> dict[str, str]:
     """Return ``files`` and their ``side`` file."""
     text = json.dumps(side, indent=1, allow_nan=False) + "\n"
     return {**files, f"{name}{PROVENANCE}": text}
@@ -88,7 +88,7 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
     return tuple(done)
 
 
-def stem_of(asked: str | None, usual: str, *, simulated: bool) -> str:
+def choose_stem(asked: str | None, usual: str, *, simulated: bool) -> str:
     """Return the name that was ``asked`` for, else the ``usual`` one, which names a simulation."""
     return check_stem(asked or (f"{usual}_{SIMULATED}" if simulated else usual).lower())
 
@@ -112,6 +112,6 @@ def check_file_name(name: str) -> str:
     return name
 
 
-def of_the_controller(files: Mapping[str, str]) -> dict[str, str]:
+def without_provenance(files: Mapping[str, str]) -> dict[str, str]:
     """Return the files that a controller reads, without the provenance."""
     return {name: text for name, text in files.items() if not name.endswith(PROVENANCE)}

@@ -32,8 +32,8 @@ from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.in_force import UNKNOWN, agreed
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.in_force import UNKNOWN, agreed_state
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.protection import (
     ALL_EFFECTS,
     PARTICULAR,
@@ -164,7 +164,8 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
     closed = {c: own for c, own in joined.items() if c not in " ".join(left_out)}
     doubtful = [m for m in inputs if m.verdict != "ok"]
     warnings = [
-        phrase("{0} is {1} ({2})", m.name, phrase(m.verdict), listed(m.warnings)) for m in doubtful
+        phrase("{0} is {1} ({2})", m.name, phrase(m.verdict), join_texts(m.warnings))
+        for m in doubtful
     ]
     warnings += [group.describe() for group in groups if not group.consistent]
     warnings += [
@@ -208,7 +209,7 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
             [m.circumstances for m in inputs if m.circumstances is not None]
         ),
         raw_data=reduce(RawData.joined, (m.raw_data for m in inputs)),
-        measured_on=agreed(m.measured_on for m in inputs),
+        measured_on=agreed_state(m.measured_on for m in inputs),
     ).counted_from("mean", zeros)
     open_zeros = [result.zeros.describe()] if result.zeros.free else []
     return replace(result, warnings=(*result.warnings, *open_zeros, *notes))
@@ -234,7 +235,7 @@ def _curves(
             for direction in m.zeros.free
             if direction.name and direction.columns.keys() & group.joined.keys()
         )
-        words = reduce(partial(phrase, "{0} and {1}"), names) if names else listed(())
+        words = reduce(partial(phrase, "{0} and {1}"), names) if names else join_texts(())
         for c, to_all in maps.items():
             if whole and group.open_of(c).shape[1]:
                 left_out.setdefault(words, []).append(c)
@@ -274,7 +275,7 @@ def _linked(
             phrase("the offset between {0} comes from {1}", phrase(what), other)
             for what, other in bare.items()
         ]
-        why = phrase(ALONE, listed(links, ", "))
+        why = phrase(ALONE, join_texts(links, ", "))
         joined = Protection("gauge", "not protected", why)
     return (*(p for p in protections if p.effect != "gauge"), joined)
 
@@ -409,5 +410,5 @@ def _joined(
     named = {name: p for name, p in stated.items() if p.treatment == weakest}
     errors = [shares[name] * p.error for name, p in stated.items() if p.error is not None]
     error = sum(errors) if effect in LASTING else hypot(*errors)
-    why = listed([phrase("{0}: {1}", name, p.why) for name, p in sorted(named.items())])
+    why = join_texts([phrase("{0}: {1}", name, p.why) for name, p in sorted(named.items())])
     return Protection(effect, weakest, why, error if errors else None)

@@ -24,14 +24,14 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import (
     harmonic_basis,
     interpolation_matrix,
-    regular_root,
-    unknown_basis,
+    orthonormal_harmonic_basis,
+    regularised_cholesky,
 )
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.gum_numbers import uncertainty, value
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
-from rotcal_ros.foundation.results import plain_fields
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
+from rotcal_ros.foundation.results import json_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 SURE: Final = 0.01
@@ -103,7 +103,7 @@ class Comparison(ByAngle):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON."""
-        return plain_fields(self)
+        return json_fields(self)
 
 
 def compare(
@@ -133,7 +133,7 @@ def compare(
     angles, raw = both.angles, both.first - both.second
     covariance = _of_difference(both)
     exact = not np.any(covariance)
-    basis = unknown_basis(angles, align_order, both.free)
+    basis = orthonormal_harmonic_basis(angles, align_order, both.free)
     difference, std, chi2, dof = _align(raw, covariance, basis)
     normalised = _normalised(difference, std)
     p_value = 0.0 if exact and np.any(normalised) else chi2_sf(chi2, dof)
@@ -190,7 +190,7 @@ def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floa
     std = std_of(keep @ covariance @ keep)
     if not np.any(covariance):
         return aligned, std, 0.0, n - unknowns
-    root = regular_root(covariance)
+    root = regularised_cholesky(covariance)
     white = np.linalg.solve(root, aligned)
     q, _ = np.linalg.qr(np.linalg.solve(root, basis))
     return aligned, std, float(np.sum((white - q @ (q.T @ white)) ** 2)), n - unknowns
@@ -289,7 +289,7 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
             break
     if not mistakes:
         return None
-    return phrase("both curves have one shape, but for one of them {0}", listed(mistakes))
+    return phrase("both curves have one shape, but for one of them {0}", join_texts(mistakes))
 
 
 def _likeness(first: Floats, second: Floats) -> float:

@@ -20,7 +20,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, covers_circle
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.units import DEGREE, TURN
 
 FROM_ALONE: Final = noted("{0} alone: nothing checks that, its stated uncertainty rules")
@@ -153,7 +153,7 @@ class ComponentGroup:
         found += [phrase(FARTHEST, self.farthest)] if self.farthest else []
         found += [phrase(self.differs)] if self.differs else []
         return phrase(
-            CONTRADICT, self.name, self.chi2, self.dof, listed(found), done[self.enlargement]
+            CONTRADICT, self.name, self.chi2, self.dof, join_texts(found), done[self.enlargement]
         )
 
 

@@ -29,7 +29,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
-from rotcal_ros.foundation.results import Result, plain_fields
+from rotcal_ros.foundation.results import Result, json_fields
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.table_forms import read_any, reads_any_form
 from rotcal_ros.foundation.table_reading import Reading
@@ -153,7 +153,7 @@ class Iso230(ByAngle):
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; radians."""
         stated = {name: u.to_dict() for name, u in self.uncertainties.items()}
-        return {**plain_fields(self), "uncertainties": stated}
+        return {**json_fields(self), "uncertainties": stated}
 
 
 def iso230(runs: BidirectionalRuns) -> Iso230:
@@ -222,7 +222,7 @@ class FigureUncertainty:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; rad, ``dof`` null when it is unlimited."""
-        return {**plain_fields(self), "std": self.std, "expanded": self.expanded}
+        return {**json_fields(self), "std": self.std, "expanded": self.expanded}
 
 
 def _propagated(

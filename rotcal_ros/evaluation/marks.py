@@ -24,10 +24,10 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN, TRANSLATIONS, unit_of
-from rotcal_ros.foundation.gum_numbers import minus, uncertainty, value_with_uncertainty
+from rotcal_ros.foundation.gum_numbers import typeset_minus, uncertainty, value_with_uncertainty
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.language import listed, noted, phrase
-from rotcal_ros.foundation.protection import below
+from rotcal_ros.foundation.language import join_texts, noted, phrase
+from rotcal_ros.foundation.protection import coverage_note
 from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 
@@ -164,7 +164,9 @@ def marks(result: Result, truth: Mapping[str, Any] | None = None) -> tuple[Mark,
 
     ``truth`` is the content of the truth.json of a simulation.
     """
-    about = Mark("measurement", result.verdict, result.verdict_words, below(result.not_tested))
+    about = Mark(
+        "measurement", result.verdict, result.verdict_words, coverage_note(result.not_tested)
+    )
     doubt = withheld(result, truth)
     against = tolerance(result.deviations, result.std, result.circumstances.identity, doubt)
     return (about,) if against is None else (about, against)
@@ -220,7 +222,7 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
     """Return why a verdict forbids to state an uncertainty; None if it does not."""
     if verdict == "ok":
         return None
-    why = listed([*map(phrase, warnings)] or [phrase("its reason is not recorded")])
+    why = join_texts([*map(phrase, warnings)] or [phrase("its reason is not recorded")])
     return phrase("the verdict is {0}: {1}", phrase(verdict), why)
 
 
@@ -234,7 +236,7 @@ def _line(axis: AxisLine, *, valid: bool) -> str:
     found = []
     for name, number, std in zip(axis.names, axis.value, axis.std, strict=True):
         unit, label = SHOWN_IN["rad" if name[0] in "ABC" else "m"]
-        text = minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
+        text = typeset_minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
         found.append(f"{name} {text if valid else text.split(' ')[0]} {label}")
     place = ", ".join(f"{x / MILLIMETRE:g}" for x in axis.origin)
     return phrase("Axis at ({0}) mm, from its nominal place: {1}.", place, ", ".join(found))
@@ -252,7 +254,7 @@ def reversals(result: Result, *, valid: bool) -> list[str]:
         mean_std = max(float(share @ both.covariance @ share), 0.0) ** 0.5
         at = int(np.argmax(np.abs(both.reversal)))
         mean, largest = (
-            minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
+            typeset_minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
             for number, std in (
                 (float(np.mean(both.reversal)), mean_std),
                 (float(both.reversal[at]), float(both.reversal_std[at])),

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.results import Result, plain_fields
+from rotcal_ros.foundation.results import Result, json_fields
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.method import Measurements
 
@@ -285,7 +285,7 @@ class Propagated:
             **{name: getattr(self.spread, name) for name in facts},
             "seed": self.seed,
             "angles_rad": self.result.angles.tolist(),
-            "components": {name: plain_fields(p) for name, p in self.components.items()},
+            "components": {name: json_fields(p) for name, p in self.components.items()},
             "warnings": list(self.warnings),
             "open_zeros": self.result.zeros.describe(),
         }

@@ -18,7 +18,7 @@ from rotcal_ros.foundation.curves.interpolation import without_harmonics
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.results import plain_fields
+from rotcal_ros.foundation.results import json_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.planning.check_rule import CheckRule
 
@@ -66,7 +66,7 @@ class QuickCheck(ByAngle):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI."""
-        return {**plain_fields(self), "rule": plain_fields(self.rule), "largest": self.largest}
+        return {**json_fields(self), "rule": json_fields(self.rule), "largest": self.largest}
 
 
 def quick_check(

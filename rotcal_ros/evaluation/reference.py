@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrap_to_turn
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.table_columns import (
@@ -138,7 +138,7 @@ def _curve(
             f"{name} states no uncertainty: add a column u_arcsec, or state one for all rows with "
             "--reference-u (standard uncertainty, k = 1)"
         )
-    position = np.array([wrapped(a) for a in angles]) if period else angles
+    position = np.array([wrap_to_turn(a) for a in angles]) if period else angles
     order = np.argsort(position)
     if np.any(np.diff(position[order]) < SAME_ANGLE):
         raise DataError(f"{name}: more than one turn; give every table position once")

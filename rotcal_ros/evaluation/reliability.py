@@ -18,7 +18,7 @@ from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.results import Residuals, Result, plain
+from rotcal_ros.foundation.results import Residuals, Result, json_value
 from rotcal_ros.methods import Calibration
 
 ALPHA: Final = 0.001
@@ -96,7 +96,7 @@ class Reliability:
             "mean_redundancy": float(self.redundancy.mean()) if len(self.row) else 0.0,
             "worst": [
                 dict(zip(columns, row, strict=True))
-                for row in zip(*map(plain, columns.values()), strict=True)
+                for row in zip(*map(json_value, columns.values()), strict=True)
             ],
         }
 

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.file_numbers import finite_column, finite_columns
 from rotcal_ros.foundation.results import Verdict
-from rotcal_ros.foundation.untrusted import load_json, read_text, reading
+from rotcal_ros.foundation.untrusted import load_json, read_errors_as, read_text
 from rotcal_ros.methods import find_method
 
 TRUTH: Final = "truth.json"
@@ -230,7 +230,7 @@ def _rows(path: Path, given: Floats, true: Floats) -> list[int]:
 
 def read_document(path: Path) -> Mapping[str, Any]:
     """Return the entries of a JSON file; BagError or DataError where it holds none."""
-    with reading(path, BagError):
+    with read_errors_as(path, BagError):
         text = read_text(path)
     try:
         content = load_json(text)

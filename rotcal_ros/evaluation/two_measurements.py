@@ -15,7 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.held_table import Effect, HeldTable, effect, effect_of_result
+from rotcal_ros.compensation.held_table import (
+    CorrectionEffect,
+    HeldTable,
+    effect_from_result,
+    regress_on_correction,
+)
 from rotcal_ros.compensation.table import DIRECTIONS
 from rotcal_ros.evaluation.common_angles import require_one_table, same_angles
 from rotcal_ros.evaluation.verification import Positioning, Verification
@@ -23,7 +28,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.curves.directional import COMPONENT, directional_curve
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.in_force import NONE, describe, known_hash
+from rotcal_ros.foundation.in_force import NONE, describe, is_table_hash
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -81,7 +86,7 @@ def verification_of(
             "repeated runs or a larger uncertainty"
         )
     after = list(results.values())[1]
-    acts = _effect(first, second, shared) if held is None else effect_of_result(after, held)
+    acts = _effect(first, second, shared) if held is None else effect_from_result(after, held)
     found = Verification(
         before=first.positioning(),
         after=second.positioning(),
@@ -111,7 +116,7 @@ def _require_before_and_after(results: Mapping[str, Result]) -> None:
     (first, before), (second, after) = results.items()
     if after.measured_on == NONE:
         raise DataError(f"{second}: {describe(NONE)}; give the measurement with the table")
-    if known_hash(after.measured_on) and after.measured_on == before.measured_on:
+    if is_table_hash(after.measured_on) and after.measured_on == before.measured_on:
         raise DataError(f"{first} and {second}: both {describe(after.measured_on)}")
     begun, later = (result.circumstances.from_ns for result in (before, after))
     if 0 < later < begun:
@@ -146,11 +151,11 @@ def _common(first: _Curve, second: _Curve, names: Mapping[str, object]) -> tuple
     return first.at(rows), second.at(columns)
 
 
-def _effect(first: _Curve, second: _Curve, shared: float) -> Effect | None:
+def _effect(first: _Curve, second: _Curve, shared: float) -> CorrectionEffect | None:
     """Return the effect of a table that was made of the ``first`` measurement."""
     same = shared**2 * (same_angles(first.angles, first.angles, 0.0) * 1.0)
     apart = first.covariance - same
-    found = effect(second.values, first.values, apart + second.covariance - same)
+    found = regress_on_correction(second.values, first.values, apart + second.covariance - same)
     if found is None:
         return None
     n = len(first.values)
@@ -190,7 +195,7 @@ def _about_table(
     first: _Curve, found: Verification, after: Result, held: HeldTable | None
 ) -> Iterator[Phrase]:
     """Yield what is not known of the table that was loaded, or contradicts the first curve."""
-    if not known_hash(after.measured_on):
+    if not is_table_hash(after.measured_on):
         yield phrase("that the table was loaded is shown by its effect alone")
     if held is None:
         yield phrase(

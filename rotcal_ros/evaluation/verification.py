@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.held_table import Effect
+from rotcal_ros.compensation.held_table import CorrectionEffect
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, phrase
-from rotcal_ros.foundation.protection import two_lines
+from rotcal_ros.foundation.protection import split_verdict_line
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -75,7 +75,7 @@ class Verification:
     iso: Mapping[str, Iso230] = field(default_factory=dict)
     verdict_lines: Mapping[str, str] = field(default_factory=dict)
     again: Positioning | None = None
-    effect: Effect | None = None
+    effect: CorrectionEffect | None = None
     simulated: bool = False
     shared: float = 0.0
     notes: tuple[Phrase, ...] = ()
@@ -99,7 +99,7 @@ class Verification:
     @property
     def reserves(self) -> tuple[str, ...]:
         """Measurements that are not ok, and what none covers: they may share such an error."""
-        lines = {when: two_lines(line) for when, line in self.verdict_lines.items()}
+        lines = {when: split_verdict_line(line) for when, line in self.verdict_lines.items()}
         doubted = (
             phrase("measurement {0}: {1}", phrase(when), words)
             for when, (words, _) in lines.items()

@@ -29,7 +29,7 @@ def rms_about_mean(covariance: Floats) -> float:
     return float(np.sqrt(about_mean / len(covariance)))
 
 
-def steps_from(before: float, values: _Numbers) -> _Numbers:
+def differences_from(before: float, values: _Numbers) -> _Numbers:
     """Return the steps (n,) of ``values`` (n,), the first of them from ``before``.
 
     It is ``np.diff`` with ``prepend``, which takes several times as long for a few values.

@@ -66,12 +66,12 @@ class ClockWatch:
         return jump
 
 
-def noted(jumps: Iterable[ClockJump]) -> dict[str, str]:
+def jumps_to_metadata(jumps: Iterable[ClockJump]) -> dict[str, str]:
     """Return jumps as the metadata record of a bag holds them."""
     return {str(n): f"{jump.ahead_ns} {jump.at_ns}" for n, jump in enumerate(jumps)}
 
 
-def read_note(note: Mapping[str, str]) -> tuple[ClockJump, ...]:
+def jumps_from_metadata(note: Mapping[str, str]) -> tuple[ClockJump, ...]:
     """Return the jumps that a metadata record holds; those that cannot be read are left out."""
     found = []
     for text in note.values():

@@ -122,12 +122,12 @@ def _require_named(
         is_there = (text if text.startswith("#") else folded(text)) in there
         if name not in ours and is_there:
             raise ConfigurationError(
-                f"{path}: sheet.columns: no column {name!r}{plugins.nearest(name, ours)}"
+                f"{path}: sheet.columns: no column {name!r}{plugins.name_hint(name, ours)}"
             )
         if name in ours and not is_there:
             raise BagError(
                 f"{path}: sheet.columns: no column is called {text!r}"
-                f"{plugins.nearest(text, texts)}"
+                f"{plugins.name_hint(text, texts)}"
             )
 
 

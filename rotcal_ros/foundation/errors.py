@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.foundation.escapes import printable, shortened
-from rotcal_ros.foundation.url_secrets import masked
+from rotcal_ros.foundation.url_secrets import mask_secrets
 
 LONGEST: Final = 2000
 """Longest error in characters; a longer one loses its middle."""
@@ -49,8 +49,8 @@ class RotcalError(Exception):
         without the secrets of URLs.
         ``question``: an answer to it would mend the error.
         """
-        super().__init__(shortened(printable(masked(text)), LONGEST))
-        self.log = masked(log)
+        super().__init__(shortened(printable(mask_secrets(text)), LONGEST))
+        self.log = mask_secrets(log)
         self.question = question
 
 

@@ -14,7 +14,7 @@ EXACT: Final = "0"
 """A value that is zero by definition, as a curve is at the angle it counts from."""
 
 
-def place_of(expanded: float) -> int:
+def last_digit_place(expanded: float) -> int:
     """Return the place of the last digit of ``expanded`` > 0: -2 is a hundredth, 1 is ten.
 
     >>> place_of(0.0996), place_of(0.0994), place_of(1234.0)
@@ -31,7 +31,7 @@ def uncertainty(expanded: float) -> str:
     >>> uncertainty(0.8468), uncertainty(12.34), uncertainty(0.0)
     ('0.85', '12', '0')
     """
-    return value_to(expanded, place_of(expanded)) if expanded else EXACT
+    return value_to_place(expanded, last_digit_place(expanded)) if expanded else EXACT
 
 
 def value(number: float, expanded: float) -> str:
@@ -42,7 +42,7 @@ def value(number: float, expanded: float) -> str:
     """
     if not expanded:
         return EXACT if number == 0.0 else f"{number:+.6g}"
-    return value_to(number, place_of(expanded), sign=True)
+    return value_to_place(number, last_digit_place(expanded), sign=True)
 
 
 def value_with_uncertainty(number: float, expanded: float) -> str:
@@ -56,13 +56,13 @@ def value_with_uncertainty(number: float, expanded: float) -> str:
     return f"{value(number, expanded)} ± {uncertainty(expanded)}"
 
 
-def minus(number: str) -> str:
+def typeset_minus(number: str) -> str:
     """Return a number as typeset: with a minus sign instead of a hyphen."""
     return number.replace("-", "\N{MINUS SIGN}")
 
 
-def value_to(number: float, place: int, *, sign: bool = False) -> str:
-    """Return a number to a place of :func:`place_of`, with its sign if ``sign`` is true.
+def value_to_place(number: float, place: int, *, sign: bool = False) -> str:
+    """Return a number to a place of :func:`last_digit_place`, with its sign if ``sign`` is true.
 
     >>> value_to(3.14159, -2), value_to(1234.0, 2), value_to(5.0, -1, sign=True)
     ('3.14', '1200', '+5.0')

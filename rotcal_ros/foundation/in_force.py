@@ -27,7 +27,7 @@ def _is_state(state: str) -> bool:
     return state in (UNKNOWN, NONE) or re.fullmatch(r"[0-9a-f]{64}", state) is not None
 
 
-def of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, ...]:
+def states_of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, ...]:
     """Return the states among ``announcements`` (axis, state) that are about ``axis``.
 
     An announcement without an axis is about the only axis of its cell.
@@ -35,7 +35,7 @@ def of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, .
     return tuple(state for about, state in announcements if about in ("", axis))
 
 
-def agreed(states: Iterable[str]) -> str:
+def agreed_state(states: Iterable[str]) -> str:
     """Return what all ``states`` agree on, else "unknown".
 
     A hash and "unknown" give the hash: adding to it later requires this same table at the
@@ -49,7 +49,7 @@ def agreed(states: Iterable[str]) -> str:
     return definite.pop()
 
 
-def contradiction(states: Iterable[str]) -> Phrase | None:
+def describe_contradiction(states: Iterable[str]) -> Phrase | None:
     """Return in words how ``states`` contradict each other, if they do."""
     stated = set(states) - {""}
     if stated == {NONE, UNKNOWN}:
@@ -71,14 +71,14 @@ def contradiction(states: Iterable[str]) -> Phrase | None:
     )  # fmt: skip
 
 
-def known_hash(state: str) -> bool:
+def is_table_hash(state: str) -> bool:
     """Return whether ``state`` names a table."""
     return state not in (UNKNOWN, NONE, "")
 
 
 def describe(state: str) -> str:
     """Return what was in force during a measurement, for people."""
-    if known_hash(state):
+    if is_table_hash(state):
         return phrase("measured on top of the table {0}: the deviations are what it leaves",
                       state[:12])  # fmt: skip
     if state == NONE:

@@ -114,9 +114,9 @@ def _kept(part: object) -> str | int | float:
     return plain if isinstance(plain, str | int | float) else str(plain)
 
 
-def listed(texts: Sequence[str], between: str = "; ") -> Phrase:
+def join_texts(texts: Sequence[str], separator: str = "; ") -> Phrase:
     """Return texts one after the other; phrases among them stay phrases."""
-    places = between.join(f"{{{place}}}" for place in range(len(texts)))
+    places = separator.join(f"{{{place}}}" for place in range(len(texts)))
     return phrase(texts[0]) if len(texts) == 1 else phrase(places, *texts)
 
 
@@ -145,7 +145,7 @@ def phrase_of(text: str, code: str, arguments: Sequence[str]) -> Phrase:
     return phrase(text)
 
 
-NOTHING: Final = listed(())
+NOTHING: Final = join_texts(())
 """The text without words: no reason."""
 
 
@@ -253,7 +253,7 @@ SPOKEN: Final[ContextVar[Language]] = ContextVar("SPOKEN", default=ENGLISH)
 
 
 @contextmanager
-def speaking(code: str) -> Iterator[None]:
+def use_language(code: str) -> Iterator[None]:
     """Draw and render in another language: phrases, and what is ours in a page or a figure."""
     token = SPOKEN.set(language(code))
     try:
@@ -262,13 +262,13 @@ def speaking(code: str) -> Iterator[None]:
         SPOKEN.reset(token)
 
 
-def codes() -> tuple[str, ...]:
+def language_codes() -> tuple[str, ...]:
     """Return the languages that there are, English first."""
     return (ENGLISH.code, *sorted(path.stem for path in FOLDER.glob("*.po")))
 
 
 @cache
-def folders() -> tuple[Path, ...]:
+def catalogue_folders() -> tuple[Path, ...]:
     """Return the folders of catalogues: ours, and those of installed packages."""
     places = (find_spec(point.module) for point in entry_points(group=PACKAGES))
     origins = (Path(place.origin) for place in places if place and place.origin)
@@ -280,11 +280,12 @@ def language(code: str) -> Language:
     """Return a language; raises ConfigurationError where there is no catalogue of it."""
     if code == ENGLISH.code:
         return ENGLISH
-    if code not in codes():
+    if code not in language_codes():
         raise ConfigurationError(
-            f"there is no catalogue for the language {code!r}: choose {' or '.join(codes())}"
+            f"there is no catalogue for the language {code!r}: "
+            f"choose {' or '.join(language_codes())}"
         )
-    files = [path for folder in folders() if (path := folder / f"{code}.po").exists()]
+    files = [path for folder in catalogue_folders() if (path := folder / f"{code}.po").exists()]
     entries = [e for f in files for e in _ENTRY.findall(f.read_text(encoding="utf-8") + "\n")]
     texts = {_joined(english): _joined(translated) for english, translated in entries}
     return Language(code, {english: text for english, text in texts.items() if english and text})

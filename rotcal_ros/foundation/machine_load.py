@@ -20,14 +20,14 @@ LONGEST_TURN_S: Final = 0.5
 _KNOWN_S: Final = 1.0
 
 
-def cores() -> int:
+def core_count() -> int:
     """Return how many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def load() -> float:
+def load_average() -> float:
     """Return how many processes wanted a core in the last minute; 0 if that is not known."""
     try:
         return os.getloadavg()[0]
@@ -35,17 +35,17 @@ def load() -> float:
         return 0.0
 
 
-def describe() -> str:
+def describe_load() -> str:
     """Return the load of the machine for people."""
-    number = cores()
-    return f"load {load():.1f} on {number} core{'s' * (number != 1)}"
+    number = core_count()
+    return f"load {load_average():.1f} on {number} core{'s' * (number != 1)}"
 
 
 class LoadFactor:
     """Processes that want each core, from 1 to ``LARGEST_LOAD_FACTOR``; updated once a second."""
 
     def __init__(self, read: Callable[[], float] | None = None) -> None:
-        self._read = read or (lambda: load() / cores())
+        self._read = read or (lambda: load_average() / core_count())
         self._until_s, self._known = -inf, 1.0
 
     def __call__(self) -> float:

@@ -23,6 +23,7 @@ _PROFILES: Final = {
 _OF_DISTRIBUTION: Final = {
     "jazzy": "FASTRTPS_DEFAULT_PROFILES_FILE",
     "kilted": "FASTDDS_DEFAULT_PROFILES_FILE",
+    "lyrical": "FASTDDS_DEFAULT_PROFILES_FILE",
 }
 _LOOPBACK: Final = "loopback.xml"
 _NETWORK: Final = "network.xml"
@@ -85,7 +86,7 @@ def discovery_in_words(environment: Mapping[str, str]) -> str:
 
 
 SUPPORTED: Final = ("jazzy", "kilted")
-_OF_RCLPY: Final = {3: "humble", 4: "iron", 7: "jazzy", 9: "kilted"}
+_OF_RCLPY: Final = {3: "humble", 4: "iron", 7: "jazzy", 9: "kilted", 10: "lyrical"}
 _PACKAGES: Final = ("rclpy", "ros-rclpy")
 """The name in an installation of ROS, and that of the wheels."""
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from rotcal_ros.foundation.language import listed, phrase
+from rotcal_ros.foundation.language import join_texts, phrase
 
 
 class State(IntEnum):
@@ -154,7 +154,7 @@ class NodeState:
 
     def describe(self) -> str:
         """Return the state for a person to read."""
-        reasons = listed([reason.describe() for reason in self.reasons])
+        reasons = join_texts([reason.describe() for reason in self.reasons])
         if self.state is State.CALIBRATING:
             return phrase("calibrating: step {0} of {1}, {2}", self.step, self.total, reasons)
         state = phrase(STATES[self.state])

@@ -121,7 +121,7 @@ def load(group: str, name: str, what: str) -> Any:
     """
     found = _found(group)
     if name not in found:
-        raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found, group)}")
+        raise ConfigurationError(f"unknown {what} {name!r:.80}{name_hint(name, found, group)}")
     point = found[name]
     try:
         return point.load()
@@ -152,7 +152,7 @@ class _Later:
         return getattr(import_module(module), name)
 
 
-def later(place: str) -> Any:
+def lazy_load(place: str) -> Any:
     """Return what "module:name" names, loaded when it is used: most of a plug-in seldom is.
 
     >>> later("math:floor")(2.5)
@@ -197,14 +197,14 @@ def group_nodes() -> dict[str, GroupNode]:
     return found | {g: load(GROUP_NODES, g, "node") for g in names(GROUP_NODES) if g not in found}
 
 
-def further_nodes(groups: Collection[str]) -> list[str]:
+def nodes_of_groups(groups: Collection[str]) -> list[str]:
     """Return the nodes that a configuration starts for its groups, beside those of every cell."""
     known = {group: node for group, node in group_nodes().items() if group in groups}
     elsewhere = {group for node in known.values() for group in node.instead_of}
     return [node.name for group, node in known.items() if group not in elsewhere]
 
 
-def culprit(error: BaseException) -> str | None:
+def failing_plugin(error: BaseException) -> str | None:
     """Return in words the plug-in of another package in which ``error`` was raised, if any.
 
     It is the innermost one between the place where the error was caught and the one where it was
@@ -226,9 +226,9 @@ def culprit(error: BaseException) -> str | None:
     return f"in the {named} ({_package(suspects[0][1])}: {line_of_code})"
 
 
-def describe(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """Return an unexpected exception in words, with the plug-in that it was raised in."""
-    plug_in = culprit(error)
+    plug_in = failing_plugin(error)
     return f"{type(error).__name__}{f' {plug_in}' if plug_in else ''}: {error}"
 
 
@@ -260,7 +260,7 @@ def _package(point: EntryPoint) -> str:
     return f"{point.dist.metadata['Name']} {point.dist.version}"
 
 
-def nearest(name: str, known: Any, *groups: str) -> str:
+def name_hint(name: str, known: Any, *groups: str) -> str:
     """Return a hint at a missing package, at the name that was meant, or the list of all.
 
     ``groups``: of which the name may be; where none is given, what a setting may name.

@@ -112,18 +112,18 @@ BOTH_LINES: Final = noted("{0}. Not tested for: {1}")
 """A verdict, never without what it does not cover."""
 
 
-def below(missing: str) -> str:
+def coverage_note(missing: str) -> str:
     """Return the line below a verdict, which names what is ``missing``; empty for nothing."""
     return phrase("Not tested for: {0}", missing) if missing else ""
 
 
-def two_lines(verdict_line: str) -> tuple[str, str]:
+def split_verdict_line(verdict_line: str) -> tuple[str, str]:
     """Return the verdict and what it does not cover, of both as one text."""
     if isinstance(verdict_line, Phrase) and verdict_line.template == BOTH_LINES:
         found, missing = map(str, verdict_line.parts)
-        return found, below(missing)
+        return found, coverage_note(missing)
     words, mark, rest = verdict_line.partition(". Not tested for: ")
-    return words, below(rest if mark else "")
+    return words, coverage_note(rest if mark else "")
 
 
 def ordered(protections: Iterable[Protection]) -> tuple[Protection, ...]:

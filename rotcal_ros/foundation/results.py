@@ -41,7 +41,7 @@ from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.file_numbers import finite_column, finite_columns, floats
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
-from rotcal_ros.foundation.language import Phrase, codes_of, listed, noted, phrase, with_codes
+from rotcal_ros.foundation.language import Phrase, codes_of, join_texts, noted, phrase, with_codes
 from rotcal_ros.foundation.protection import BOTH_LINES, Effect, Protection, ordered, unprotected
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.records import record
@@ -324,7 +324,7 @@ class Zeros:
                 touched.setdefault(direction.name, set()).update(found)
         clause = noted("the offset between {0} is not measured ({1})")
         names = [", ".join(c for c in COMPONENTS if c in found) for found in touched.values()]
-        return listed([phrase(clause, *each) for each in zip(touched, names, strict=True)])
+        return join_texts([phrase(clause, *each) for each in zip(touched, names, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -408,7 +408,7 @@ class Result:
             if self.dof == 0:
                 return phrase("anything (nothing checked the values)")
             return phrase("drift and the like (the method says nothing of them)")
-        return listed([phrase(effect) for effect in self.unprotected], ", ")
+        return join_texts([phrase(effect) for effect in self.unprotected], ", ")
 
     @property
     def verdict_line(self) -> Phrase:
@@ -496,8 +496,8 @@ class Result:
             }
         data |= self._places()
         if self.zeros.counts_from != UNKNOWN:
-            data["zeros"] = plain_fields(self.zeros) | {
-                "free": [plain_fields(direction) for direction in self.zeros.free]
+            data["zeros"] = json_fields(self.zeros) | {
+                "free": [json_fields(direction) for direction in self.zeros.free]
             }
         if self.measured_on != UNKNOWN:
             data["measured_on"] = self.measured_on
@@ -511,18 +511,18 @@ class Result:
             "verdict_line": self.verdict_line,
             "not_protected": list(self.unprotected),
             "warnings": list(self.warnings),
-            "protections": [plain_fields(p) for p in self.protections],
+            "protections": [json_fields(p) for p in self.protections],
             "codes": codes_of(self._texts()),
             "details": self.all_details,
         }
         if self.raw_data.hashes:
             data["raw_data"] = self.raw_data.to_dict()
         if self.residuals is not None:
-            columns = plain_fields(self.residuals)
+            columns = json_fields(self.residuals)
             if self.residuals.unit == "m":  # as it is where nothing is said
                 del columns["unit"]
             data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
-        return {name: plain(value) for name, value in data.items()}
+        return {name: json_value(value) for name, value in data.items()}
 
     def _texts(self) -> Any:
         """Return all that has texts for people."""
@@ -534,9 +534,9 @@ class Result:
         """Return where axes and instrument stand, as far as that was measured."""
         data: dict[str, Any] = {}
         if self.placement is not None:
-            data["placement"] = plain_fields(self.placement)
+            data["placement"] = json_fields(self.placement)
         if self.axes:
-            data["axes"] = [plain_fields(axis) for axis in self.axes]
+            data["axes"] = [json_fields(axis) for axis in self.axes]
         return data
 
     def to_json(self) -> str:
@@ -664,24 +664,24 @@ def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
         )
 
 
-def plain_fields(record: Any) -> dict[str, Any]:
+def json_fields(record: Any) -> dict[str, Any]:
     """Return the fields of a dataclass as plain values for JSON."""
-    return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
+    return {field.name: json_value(getattr(record, field.name)) for field in fields(record)}
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """Return arrays, mappings and tuples as plain values, NaN and infinity as None."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         items = value.tolist()
-        return items if np.all(np.isfinite(value)) else plain(items)
+        return items if np.all(np.isfinite(value)) else json_value(items)
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return json_value(value.tolist())
     if isinstance(value, float) and not isfinite(value):
         return None  # JSON has neither; reading null back into an array gives NaN
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [json_value(item) for item in value]
     return value
 
 

@@ -20,9 +20,9 @@ from functools import cache, partial
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.url_secrets import describe as secret_found
-from rotcal_ros.foundation.url_secrets import secrets_in
+from rotcal_ros.foundation.plugins import name_hint
+from rotcal_ros.foundation.url_secrets import find_secrets
+from rotcal_ros.foundation.url_secrets import secret_error_text as secret_found
 
 T = TypeVar("T")
 
@@ -118,7 +118,7 @@ def group(cls: type[Any], *, expert: bool = False) -> Any:
     return dataclasses.field(default_factory=cls, kw_only=True, metadata={"expert": expert})
 
 
-def with_groups(classes: Mapping[str, type[Any]]) -> Callable[[type[T]], type[T]]:
+def add_nested_groups(classes: Mapping[str, type[Any]]) -> Callable[[type[T]], type[T]]:
     """Give a settings dataclass nested groups that are known only when it is loaded, by name.
 
     They are for experts.
@@ -142,7 +142,7 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
     is stated with another value.
     """
     values = {} if values is None else values
-    for place in secrets_in(values, where):
+    for place in find_secrets(values, where):
         raise ConfigurationError(secret_found(place))
     if not isinstance(values, Mapping):
         raise ConfigurationError(
@@ -178,12 +178,12 @@ def _check_others(
     fixed = constants(cls)
     for name in (n for n in values if n not in fields):
         if name not in fixed:
-            hint = nearest(str(name), fields)
+            hint = name_hint(str(name), fields)
             raise ConfigurationError(f"{where}: unknown setting {name!r:.80}{hint}")
         _check_constant(values[name], fixed[name], f"{where}.{name}")
 
 
-def of_changes(
+def settings_from_changes(
     cls: type[T], group: str, changes: Sequence[str], parsed: Callable[[str, str], Any]
 ) -> T:
     """Return the settings of a ``group`` with ``group.name=value`` changes and nothing else.
@@ -334,7 +334,7 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
         )
     if info.choices and value not in info.choices:
         known = info.named_choices
-        hint = nearest(str(value), known)
+        hint = name_hint(str(value), known)
         raise ConfigurationError(f"{place}: {value!r:.80} is none of {', '.join(known)}{hint}")
     return value
 

@@ -23,8 +23,8 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings, folded
 from rotcal_ros.foundation.table_reading import FormReader, Known, Reading
-from rotcal_ros.foundation.tables import Header, Table, own_table
-from rotcal_ros.foundation.untrusted import load_yaml, plain_file, read_text, reading
+from rotcal_ros.foundation.tables import Header, Table, read_own_form
+from rotcal_ros.foundation.untrusted import is_plain_file, load_yaml, read_errors_as, read_text
 
 FILE: Final = "table_forms.yaml"
 
@@ -54,7 +54,7 @@ def read_any(
     for a table that is not of our own form. Raises BagError for a file that is no table,
     DataError, with what to do, where something can be read in two ways or not at all.
     """
-    own = own_table(source, headers)
+    own = read_own_form(source, headers)
     if own is not None:
         return Reading(own)
     given, in_memory = settings, isinstance(source, Table) and source.in_memory
@@ -122,9 +122,9 @@ def _stated(settings: SheetSettings) -> dict[str, Any]:
 
 
 def _forms(file: Path) -> list[tuple[tuple[str, ...], SheetSettings]]:
-    if not plain_file(file):
+    if not is_plain_file(file):
         return []
-    with reading(file, ConfigurationError):
+    with read_errors_as(file, ConfigurationError):
         entries = load_yaml(read_text(file), str(file))
     if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
         raise ConfigurationError(f"{file}: expected a list of forms: correct it, or remove it")

@@ -128,7 +128,7 @@ def is_table(path: Path) -> bool:
     ending = path.suffix.lower()
     if ending == ".csv" or ending in _WORKBOOKS:
         return True
-    if ending in _OTHERS or not untrusted.plain_file(path):
+    if ending in _OTHERS or not untrusted.is_plain_file(path):
         return False
     with untrusted.open_plain(path) as file:
         begin = file.read(_LOOK)
@@ -140,30 +140,33 @@ def is_table(path: Path) -> bool:
 
 def is_workbook(path: Path) -> bool:
     """Return whether ``path`` is a file of a spreadsheet program, by its first bytes."""
-    if not untrusted.plain_file(path):
+    if not untrusted.is_plain_file(path):
         return False
     with untrusted.open_plain(path) as file:
         return file.read(8).startswith(untrusted.WORKBOOKS)
 
 
-def own_table(source: Path | Table, headers: Sequence[Header]) -> Table | None:
+def read_own_form(source: Path | Table, headers: Sequence[Header]) -> Table | None:
     """Return a table of our own form; None for others.
 
     Raises BagError when the file cannot be read, DataError for a line that is no CSV.
     """
-    if not is_own(source, headers):
+    if not has_own_form(source, headers):
         return None
     return source if isinstance(source, Table) else read_table(source)
 
 
-def is_own(source: Path | Table, headers: Sequence[Header]) -> bool:
+def has_own_form(source: Path | Table, headers: Sequence[Header]) -> bool:
     """Return whether a table has our own form: UTF-8, commas, one of ``headers`` first.
 
     Raises BagError when the file cannot be read.
     """
     if isinstance(source, Table):
         return source.header in headers
-    with untrusted.reading(source, BagError, "the table "), untrusted.open_plain(source) as file:
+    with (
+        untrusted.read_errors_as(source, BagError, "the table "),
+        untrusted.open_plain(source) as file,
+    ):
         begin = file.read(_LOOK)
     begins = begin.decode("utf-8-sig", errors="replace").splitlines()
     first = next((line for line in begins if line.strip() and line.lstrip()[0] != "#"), "")
@@ -180,7 +183,7 @@ def read_table(path: Path) -> Table:
             f"({error})"
         ) from error
     except OSError as error:
-        raise BagError(f"cannot read the table {path}: {untrusted.why(error)}") from error
+        raise BagError(f"cannot read the table {path}: {untrusted.cause_of(error)}") from error
     lines = [
         (number, tuple(cell.strip() for cell in cells))
         for number, line in enumerate(text.splitlines(), start=1)
@@ -211,7 +214,7 @@ def require_header(table: Table, headers: Sequence[Header]) -> None:
         )
 
 
-def hashes(*tables: Table) -> dict[str, str]:
+def table_hashes(*tables: Table) -> dict[str, str]:
     """Return the SHA-256 of the files of tables by their names; in memory, of the table as CSV."""
     return {table.path.name: hashlib.sha256(_content(table)).hexdigest() for table in tables}
 
@@ -223,7 +226,7 @@ def _content(table: Table) -> bytes:
     return "".join(",".join(row) + "\n" for row in rows).encode()
 
 
-def table_of(source: Any, name: str) -> Path | Table:
+def as_path_or_table(source: Any, name: str) -> Path | Table:
     """Return a file as its path, what is in memory as a table called ``name``.
 
     In memory it is a DataFrame, a mapping of columns, or a list of rows: mappings, or sequences

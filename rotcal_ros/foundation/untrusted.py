@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
-from rotcal_ros.foundation.url_secrets import describe, has_secret
+from rotcal_ros.foundation.url_secrets import has_secret, secret_error_text
 
 LARGEST_FILE: Final = 1 << 28
 """Bytes of a file that is read whole; the result of 20 000 lengths has 10 million."""
@@ -49,7 +49,7 @@ class NotAFileError(OSError):
     """A path does not lead to a plain file; ``strerror`` says what is there."""
 
 
-def plain_file(path: Path) -> bool:
+def is_plain_file(path: Path) -> bool:
     """Return whether ``path`` leads to a plain file; False if that cannot be found out."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
@@ -74,7 +74,7 @@ def open_plain(path: Path) -> BinaryIO:
 def require_no_secret(text: str, place: str) -> None:
     """Raise ConfigurationError, which does not repeat it, if a URL in ``text`` has a secret."""
     if has_secret(text):
-        raise ConfigurationError(describe(place))
+        raise ConfigurationError(secret_error_text(place))
 
 
 def require_plain(path: Path) -> None:
@@ -114,15 +114,17 @@ _CURES: Final = {
 
 
 @contextmanager
-def reading(path: Path | str, refused: type[RotcalError], what: str = "") -> Iterator[None]:
-    """Raise ``refused`` where ``path`` cannot be read meanwhile; ``what`` it is: "the list "."""
+def read_errors_as(
+    path: Path | str, error_type: type[RotcalError], what: str = ""
+) -> Iterator[None]:
+    """Raise ``error_type`` where ``path`` cannot be read inside; ``what`` it is: "the list "."""
     try:
         yield
     except (OSError, UnicodeDecodeError) as error:
-        raise refused(f"cannot read {what}{path}: {why(error)}") from error
+        raise error_type(f"cannot read {what}{path}: {cause_of(error)}") from error
 
 
-def why(error: Exception) -> str:
+def cause_of(error: Exception) -> str:
     """Return why a file could not be read, without its path, and what to do about it."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror + _CURES.get(error.errno or 0, "")
@@ -147,7 +149,7 @@ def load_json(text: str | bytes, *, finite: bool = True) -> Any:
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
     except UnicodeDecodeError as error:
-        raise ValueError(why(error)) from None
+        raise ValueError(cause_of(error)) from None
     _check_depth(value)
     return value
 
@@ -282,14 +284,14 @@ def _check_names(keys: Iterable[Any]) -> None:
             lines[name] = line
 
 
-def line_of(text: str, *names: str) -> int:
+def yaml_line_of(text: str, *names: str) -> int:
     """Return the line of the last of ``names``, each in the group of the one before it; 0: none.
 
     ``text`` is YAML that :func:`load_yaml` has read.
     """
     import yaml
 
-    node, line = composed(text), 0
+    node, line = yaml_nodes(text), 0
     for name in names:
         pairs = node.value if isinstance(node, yaml.MappingNode) else []
         found = next(((key, value) for key, value in pairs if key.value == name), None)
@@ -299,7 +301,7 @@ def line_of(text: str, *names: str) -> int:
     return line
 
 
-def composed(text: str) -> Any:
+def yaml_nodes(text: str) -> Any:
     """Return the nodes, with their places, of YAML that :func:`load_yaml` has read."""
     import yaml
 

@@ -46,10 +46,10 @@ def has_secret(text: str) -> bool:
     url = re.match(rf"\s*{_SCHEME}", text)
     # A text that is a URL as a whole may have blanks in its password.
     as_whole = url is not None and _rest_masked(text[url.end() :]) != text[url.end() :]
-    return as_whole or masked(text) != text
+    return as_whole or mask_secrets(text) != text
 
 
-def masked(text: str) -> str:
+def mask_secrets(text: str) -> str:
     """Return ``text`` with *** for what is secret in URLs and connection strings, else as it is.
 
     >>> masked("no answer: s3://key:pw@host/bag?x-amz-signature=1f&part=2")
@@ -60,25 +60,25 @@ def masked(text: str) -> str:
     text = _BARE.sub(rf"\1{MASK}", _PAIR.sub(rf"\1{MASK}", text))
     if ":/" in text:
         return text
-    if "%" in text and ":/" in (decoded := unquote(text)) and masked(decoded) != decoded:
+    if "%" in text and ":/" in (decoded := unquote(text)) and mask_secrets(decoded) != decoded:
         return MASK  # a URL that is encoded as a whole
     return text
 
 
-def secrets_in(value: Any, place: str) -> Iterator[str]:
+def find_secrets(value: Any, place: str) -> Iterator[str]:
     """Yield the places, each as ``place.name``, of nested settings that hold such a URL."""
     if isinstance(value, str) and has_secret(value):
         yield place
     elif isinstance(value, Mapping):
         for name, inner in value.items():
-            yield from secrets_in(name, f"a name in {place}")
-            yield from secrets_in(inner, f"{place}.{masked(str(name))}")
+            yield from find_secrets(name, f"a name in {place}")
+            yield from find_secrets(inner, f"{place}.{mask_secrets(str(name))}")
     elif isinstance(value, Sequence) and not isinstance(value, str | bytes):
         for number, inner in enumerate(value):
-            yield from secrets_in(inner, f"{place}[{number}]")
+            yield from find_secrets(inner, f"{place}[{number}]")
 
 
-def describe(place: str) -> str:
+def secret_error_text(place: str) -> str:
     """Return the error for a URL with a secret at ``place``, which does not repeat it."""
     return (
         f"{place}: a URL with a secret in it, such as a password: it would be copied into bags, "

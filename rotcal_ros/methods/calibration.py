@@ -20,8 +20,8 @@ from rotcal_ros.capture import Capture
 from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
-from rotcal_ros.foundation.in_force import UNKNOWN, agreed
-from rotcal_ros.foundation.language import listed, phrase
+from rotcal_ros.foundation.in_force import UNKNOWN, agreed_state
+from rotcal_ros.foundation.language import join_texts, phrase
 from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN, Observation
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.raw_data import RawData
@@ -193,7 +193,7 @@ class Calibration:
         except ObservabilityError as error:
             raise ObservabilityError(f"{error}{self._lacking(seen, used)}") from error
         result = with_clock_errors(result, self.arrival_std())
-        measured_on = agreed(self.in_force(announced))
+        measured_on = agreed_state(self.in_force(announced))
         if measured_on != UNKNOWN:
             result = replace(result, measured_on=measured_on)
         conflicts = frame_conflicts(self.configuration.cell, self.plan, result, frames)
@@ -337,7 +337,7 @@ class Calibration:
             n_observations=len(used),
             verdict="suspect",
             zeros=Zeros(
-                free=tuple(FreeDirection(listed(()), dict.fromkeys(names, k)) for k in each)
+                free=tuple(FreeDirection(join_texts(()), dict.fromkeys(names, k)) for k in each)
             ),
             circumstances=self._circumstances(used),
             raw_data=RawData.of(used, _DATED_NS),

@@ -34,12 +34,12 @@ from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.table_columns import SheetSettings
 from rotcal_ros.foundation.untrusted import (
-    composed,
-    line_of,
     load_yaml,
+    read_errors_as,
     read_text,
-    reading,
     require_no_secret,
+    yaml_line_of,
+    yaml_nodes,
 )
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
@@ -161,7 +161,7 @@ def configuration_text(path: Path) -> str:
     Raises ConfigurationError when one of them cannot be read, or a URL carries a secret: the text
     is kept as it is, comments included.
     """
-    with reading(path, ConfigurationError, "the configuration "):
+    with read_errors_as(path, ConfigurationError, "the configuration "):
         text = read_text(path)
     for number, line in enumerate(text.splitlines(), start=1):
         require_no_secret(line, f"{path}, line {number}")
@@ -190,7 +190,7 @@ def parse_configuration(
         if group not in GROUPS:
             known = ("method", *GROUPS, *short_names(method))
             hint = _without_its_group(method, str(group))
-            hint = hint or plugins.nearest(str(group), known, plugins.SETTINGS)
+            hint = hint or plugins.name_hint(str(group), known, plugins.SETTINGS)
             what = "group" if isinstance(value, Mapping) else "setting"
             raise ConfigurationError(f"{source}: unknown {what} {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)
@@ -367,7 +367,7 @@ def _plan(text: str) -> tuple[str, list[tuple[yaml.Node, yaml.Node]]]:
     """Return the method and the entries that may be of the group ``plan``; none without either."""
     try:
         load_yaml(text, "")  # only what is within bounds is gone through node by node
-        node = composed(text)
+        node = yaml_nodes(text)
     except (ConfigurationError, yaml.YAMLError):
         return "", []
     short = list(node.value) if _entry(node, "method") else []
@@ -453,7 +453,7 @@ def _require_alone(text: str, source: str, group: Any, name: str) -> None:
     for other in group:
         if other != name:
             above = () if name == ALL_NODES else (ALL_NODES,)
-            line = line_of(text, *above, str(other))
+            line = yaml_line_of(text, *above, str(other))
             raise ConfigurationError(
                 f"{source}: {f'line {line}: ' if line else ''}{other!r:.80} stands beside "
                 f"{name!r}, where it is not read: take it out, or put it where it belongs, in a "

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, UndecidedError
-from rotcal_ros.foundation.settings import of_changes
+from rotcal_ros.foundation.settings import settings_from_changes
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.table_forms import read_any, remembered
-from rotcal_ros.foundation.tables import is_own
+from rotcal_ros.foundation.tables import has_own_form
 from rotcal_ros.foundation.untrusted import load_yaml
 from rotcal_ros.methods.configuration import Configuration, changed, parse_configuration
 from rotcal_ros.methods.method import Method, TableReader, find_method, usable_methods
@@ -23,7 +23,7 @@ NAMED: Final = "method="
 def fitting_methods(path: Path, sheet: SheetSettings = AS_IT_STANDS) -> list[Method]:
     """Return the methods whose columns a table has, as far as it can be read without a set-up."""
     readers = [(method, method.table) for method in usable_methods() if method.table]
-    own = [m for m, t in readers if is_own(path, (*t.headers, *t.with_angles))]
+    own = [m for m, t in readers if has_own_form(path, (*t.headers, *t.with_angles))]
     if own:
         return own
     read = [(method, _reads(path, table, sheet)) for method, table in readers]
@@ -51,7 +51,7 @@ def setup_of_its_own(path: Path, changes: Sequence[str]) -> Configuration:
     named = [change for change in changes if change.startswith(NAMED)]
     of_the_table = [change for change in changes if change.startswith("sheet.")]
     changes = [change for change in changes if change not in named]
-    stated = of_changes(SheetSettings, "sheet", of_the_table, load_yaml)
+    stated = settings_from_changes(SheetSettings, "sheet", of_the_table, load_yaml)
     if named:
         found = [find_method(named[-1].removeprefix(NAMED))]
     else:

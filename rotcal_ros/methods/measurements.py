@@ -19,11 +19,11 @@ from rotcal_ros.foundation.tables import (
     Header,
     Row,
     Table,
-    hashes,
-    is_own,
+    has_own_form,
     is_table,
     is_workbook,
-    own_table,
+    read_own_form,
+    table_hashes,
 )
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.calibration import Calibration, prepare
@@ -117,7 +117,7 @@ def read_measurements(
         return found
 
     # a table of any other form is never held to be one of a table that turned
-    own = own_table(source, reader.with_angles)
+    own = read_own_form(source, reader.with_angles)
     reading = Reading(own) if own else read_any(source, reader.headers, settings, known)
     where = phrase("table angles of the plan in {0}", configuration.source)
     if reading.angles_deg:
@@ -183,7 +183,7 @@ def _require_own_method(source: Path | Table, configuration: Configuration) -> N
         other.name
         for other in usable_methods()
         if other.table is not None
-        and is_own(source, (*other.table.headers, *other.table.with_angles))
+        and has_own_form(source, (*other.table.headers, *other.table.with_angles))
     ]
     if others and method.name not in others:
         path = source.path if isinstance(source, Table) else source
@@ -305,7 +305,7 @@ def planned_table(
             ]
             step, missing = find(row), (0.0,) * (3 - len(seen))
             observations.append(read_at(row, step.observed((*seen, *missing))))
-        return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+        return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
     more = ((), tuple(further)) if further else ((),)
     headers = ((*header, *names, *time) for names in more for time in ((), (TIME,)))

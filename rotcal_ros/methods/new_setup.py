@@ -66,7 +66,7 @@ def given_value(method: str, known: Known, change: str) -> tuple[str, Any]:
     """Return name and value of a ``group.name=value``; ConfigurationError where it cannot be."""
     name, value = parsed_change(method, change)
     if name not in known:
-        hint = plugins.nearest(name, known)
+        hint = plugins.name_hint(name, known)
         raise ConfigurationError(f"--set {change}: a set-up has no setting {name!r:.80}{hint}")
     return name, checked_value(value, known[name], name)
 

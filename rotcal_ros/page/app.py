@@ -37,7 +37,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable_data
-from rotcal_ros.foundation.language import codes, language, phrase
+from rotcal_ros.foundation.language import language, language_codes, phrase
 from rotcal_ros.foundation.untrusted import load_json
 from rotcal_ros.page.settings import LOOPBACK, PageSettings
 from rotcal_ros.page.state import Board, PageState, changes, plain
@@ -118,7 +118,7 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
 
 async def words(_request: Request) -> Response:
     """Answer with the catalogues of all languages but English."""
-    return JSONResponse({code: language(code).texts for code in codes()[1:]})
+    return JSONResponse({code: language(code).texts for code in language_codes()[1:]})
 
 
 async def _events(board: Board, token: str) -> AsyncIterator[dict[str, str]]:

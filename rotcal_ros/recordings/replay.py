@@ -39,9 +39,9 @@ from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.instruments.steps import StepFinder
 from rotcal_ros.capture.publishers import run_name
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
-from rotcal_ros.foundation.clock_jumps import read_note
+from rotcal_ros.foundation.clock_jumps import jumps_from_metadata
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
-from rotcal_ros.foundation.in_force import contradiction, of_axis
+from rotcal_ros.foundation.in_force import describe_contradiction, states_of_axis
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
@@ -223,7 +223,7 @@ class Recording:
             texts.append(phrase(STRANGERS_PLANS, self.foreign_plans, names.PLAN))
         if self.recorded and not self.same_as_recorded:
             texts.append(CAPTURED_OTHERWISE)
-        if clash := contradiction(self.calibration.in_force(self.announced)):
+        if clash := describe_contradiction(self.calibration.in_force(self.announced)):
             texts.append(clash)
         if self.other_axes:
             texts.append(
@@ -320,7 +320,7 @@ def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozens
         sha256={file.name: sha256_of(file) for file in files},
         attachments=attachments,
         choices=tuple(contents.choices),
-        announced=frozenset(of_axis(contents.announced, configuration.cell.axis)),
+        announced=frozenset(states_of_axis(contents.announced, configuration.cell.axis)),
         other_axes=contents.other_axes(configuration.cell.axis),
         frames=tuple(contents.frames.values()),
         unreadable=dict(topics.unreadable),
@@ -531,7 +531,9 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
 
     If jumps were noted, they explain log times that go back.
     """
-    jumps = [j for scan in scans for j in read_note(scan.metadata.get(names.CLOCK_JUMPS, {}))]
+    jumps = [
+        j for scan in scans for j in jumps_from_metadata(scan.metadata.get(names.CLOCK_JUMPS, {}))
+    ]
     jumps = sorted(set(jumps), key=lambda jump: (not jump.named, jump.at_ns))
     texts = [jump.describe() for jump in jumps[:_SHOWN]]
     if len(jumps) > _SHOWN:

@@ -38,8 +38,8 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.table_reading import Reading
-from rotcal_ros.foundation.tables import is_table, own_table
-from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
+from rotcal_ros.foundation.tables import is_table, read_own_form
+from rotcal_ros.foundation.untrusted import cause_of, load_json, read_bytes
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
@@ -113,7 +113,7 @@ def _results(path: Path) -> dict[str, ResultSource]:
             for way in ways
         }
     except OSError as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error
+        raise BagError(f"cannot read {path}: {cause_of(error)}") from error
     except (AttributeError, TypeError) as error:
         raise DataError(f"{path}: damaged evaluations: {error}; solve again") from error
     except ValueError as error:
@@ -173,7 +173,7 @@ def read_repeated_runs(
     """
     if not is_table(path):
         return require_runs(read_source(path).result, str(path))
-    own = own_table(path, (HEADER,))
+    own = read_own_form(path, (HEADER,))
     if own is None:
         return read_any_runs(path, sheet, announce)
     announce(Reading(own))
@@ -203,7 +203,7 @@ class References:
 
     def faces(self, path: Path) -> MeasuredCurve:
         """Return the curve in a table as it stands there."""
-        own = own_table(path, (COLUMNS, COLUMNS[:2]))
+        own = read_own_form(path, (COLUMNS, COLUMNS[:2]))
         if own is not None:
             return read_reference(own, self.std)
         return read_deviations(path, self.std, self.own.get(path, self.sheet), self.announce)

@@ -21,16 +21,16 @@ from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.gum_numbers import (
-    minus,
-    place_of,
+    last_digit_place,
+    typeset_minus,
     uncertainty,
     value,
-    value_to,
+    value_to_place,
     value_with_uncertainty,
 )
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.in_force import describe
-from rotcal_ros.foundation.language import listed, noted, phrase
+from rotcal_ros.foundation.language import join_texts, noted, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 
@@ -124,7 +124,7 @@ def conditions(circumstances: Circumstances) -> str:
         _ranged(phrase("air pressure"), circumstances.pressure_pa, "hPa", 1, 1.0 / PASCAL_PER_HPA),
         _ranged(phrase("relative humidity"), circumstances.humidity, "%", 0, 100.0),
     ]
-    return listed(ranges) if any(NOT_STATED not in text for text in ranges) else ""
+    return join_texts(ranges) if any(NOT_STATED not in text for text in ranges) else ""
 
 
 def _ranged(name: str, found: Range | None, unit: str, digits: int, factor: float = 1.0) -> str:
@@ -166,7 +166,7 @@ def _dates(circumstances: Circumstances) -> str:
 
 
 def _joined(texts: list[str]) -> str:
-    return listed([text for text in texts if text], ", ")
+    return join_texts([text for text in texts if text], ", ")
 
 
 _RANGES: Final = (noted("Deviation"), noted("lowest"), noted("highest"), noted("range"))
@@ -219,7 +219,7 @@ def statement_of_u(result: Result, withheld: str | None) -> str:
         "factor k = {0} (about 95 % for a normal distribution), JCGM 100:2008.",
         f"{COVERAGE_FACTOR:g}",
     )
-    missing = listed([phrase(effect) for effect in not_covered(result)], ", ")
+    missing = join_texts([phrase(effect) for effect in not_covered(result)], ", ")
     return phrase("{0} It does not cover: {1}.", text, missing) if missing else text
 
 
@@ -252,7 +252,7 @@ def value_blocks(result: Result, withheld: str | None) -> list[ValueBlock]:
 def degrees(angle: float) -> str:
     """Return an angle (rad) in degrees, with at most four decimals."""
     text = f"{angle / DEGREE:.4f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else minus(text)
+    return "0" if text == "-0" else typeset_minus(text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,9 +270,9 @@ def _ends(result: Result, name: str) -> _Ends:
     unit, label = unit_of(name)
     values = result.deviations[name] / unit
     largest = COVERAGE_FACTOR * float(result.std[name].max()) / unit
-    low, high = (minus(value(float(end), largest)) for end in (values.min(), values.max()))
+    low, high = (typeset_minus(value(float(end), largest)) for end in (values.min(), values.max()))
     span = float(np.ptp(values))
-    whole = value_to(span, place_of(largest)) if largest else f"{span:.6g}"
+    whole = value_to_place(span, last_digit_place(largest)) if largest else f"{span:.6g}"
     return _Ends(low, high, whole, uncertainty(largest), label)
 
 
@@ -315,7 +315,7 @@ def _narrow_rows(result: Result, name: str, withheld: str | None) -> list[list[s
     ):
         expanded = COVERAGE_FACTOR * float(std)
         stated = NO_U if withheld else uncertainty(expanded)
-        rows.append([degrees(angle), minus(value(float(deviation), expanded)), stated])
+        rows.append([degrees(angle), typeset_minus(value(float(deviation), expanded)), stated])
     return rows
 
 
@@ -328,6 +328,6 @@ def _wide_rows(result: Result, withheld: str | None) -> list[list[str]]:
             number = float(result.deviations[name][i]) / unit
             expanded = COVERAGE_FACTOR * float(result.std[name][i]) / unit
             write = value if withheld else value_with_uncertainty
-            cells.append(minus(write(number, expanded)))
+            cells.append(typeset_minus(write(number, expanded)))
         rows.append([degrees(angle), *cells])
     return rows

@@ -32,14 +32,14 @@ from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.gum_numbers import (
-    place_of,
+    last_digit_place,
     uncertainty,
-    value_to,
+    value_to_place,
     value_with_uncertainty,
 )
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.in_force import UNKNOWN
-from rotcal_ros.foundation.language import listed, phrase
+from rotcal_ros.foundation.language import join_texts, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.results import Result
@@ -117,7 +117,7 @@ def render_report(report: ReportInput) -> str:
         conformity=first_page.statements_of_conformity(result, doubt),
         warnings=list(map(phrase, result.warnings)),
         curve=curves.deviations(result, report.truth, valid=not doubt),
-        zero=listed(_zero(result), " "),
+        zero=join_texts(_zero(result), " "),
         values=first_page.value_blocks(result, doubt),
         traceability=traceability_statement(result),
         only_this_item=first_page.ONLY_THIS_ITEM,
@@ -424,14 +424,14 @@ def _table(result: Result, name: str) -> dict[str, Any]:
     worst = int(np.argmax(std))
     whole = float(std[worst])
     # Half of the digits of U = 2 u: a source is shown to the place of the sum.
-    place = place_of(whole) if whole else 0
+    place = last_digit_place(whole) if whole else 0
     rows = []
     for part in contributions(result, name):
         size = float(part.std[worst]) / unit
         share = 100.0 * (size / whole) ** 2 if whole else 0.0
-        rows.append([phrase(part.source), value_to(size, place), f"{share:.0f} %"])
+        rows.append([phrase(part.source), value_to_place(size, place), f"{share:.0f} %"])
     expanded = uncertainty(COVERAGE_FACTOR * whole)
-    rows.append([phrase("Combined standard uncertainty"), value_to(whole, place), "100 %"])
+    rows.append([phrase("Combined standard uncertainty"), value_to_place(whole, place), "100 %"])
     stated = phrase("Expanded uncertainty U (k = {0})", f"{COVERAGE_FACTOR:g}")
     rows.append([stated, expanded, ""])
     return {
@@ -596,7 +596,7 @@ def traceability_statement(result: Result) -> str:
     certified = [name for name, instrument in known.items() if instrument.certificate]
     if not certified:
         return phrase("{0}: no certificate of an instrument is named.", NOT_STATED)
-    names = listed([phrase(_spoken(name)) for name in certified], ", ")
+    names = join_texts([phrase(_spoken(name)) for name in certified], ", ")
     return phrase("Through the calibration certificates of: {0}.", names)
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from markupsafe import escape
 from matplotlib.axes import Axes
 
-from rotcal_ros.compensation.earlier_export import effect_in_force
+from rotcal_ros.compensation.earlier_export import effect_of_table_in_force
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.escapes import printable_lines
-from rotcal_ros.foundation.in_force import describe, known_hash
+from rotcal_ros.foundation.in_force import describe, is_table_hash
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -62,13 +62,13 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
     Empty if there was no table, or it is unknown; ``in_force`` holds the table's files.
     """
     if in_force is not None:
-        effect = effect_in_force(result, in_force)
+        effect = effect_of_table_in_force(result, in_force)
         acts = (
             phrase("its corrections are too small to show it")
             if effect is None
             else phrase(effect.fault or effect.describe())
         )
-    elif known_hash(result.measured_on):
+    elif is_table_hash(result.measured_on):
         acts = phrase(
             "not tested: this also needs the files of the table (rotcal report --in-force "
             "FOLDER, rotcal export --add-to FOLDER)"

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.cascaded_tables import combined
+from rotcal_ros.compensation.cascaded_tables import combine_with_table_in_force
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
@@ -175,5 +175,5 @@ def _write_compensation(session: Session) -> None:
     """Write controller files if the result allows it."""
     source = read_source(session.folder.result)
     table = table_from_result(source.result, axis=session.configuration.cell.axis)
-    table = combined(table, lambda: None)
+    table = combine_with_table_in_force(table, lambda: None)
     write_exports(export_files(source, table, FORMATS), session.folder.compensation)

@@ -20,7 +20,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_names import NODES, PAGE, VIEWERS
-from rotcal_ros.foundation.plugins import further_nodes, node_module
+from rotcal_ros.foundation.plugins import node_module, nodes_of_groups
 from rotcal_ros.methods.configuration import node_parameters
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import read_source
@@ -312,7 +312,7 @@ def node_names(session: Session) -> list[str]:
 
     These are those of every cell, those with a group, and the requested ones for people.
     """
-    further = further_nodes(session.configuration.given)
+    further = nodes_of_groups(session.configuration.given)
     return [*NODES, *further, *(VIEWERS[name] for name in session.shown_by)]
 
 

@@ -17,12 +17,17 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation import plain_csv
-from rotcal_ros.compensation.cascaded_tables import combined
+from rotcal_ros.compensation.cascaded_tables import combine_with_table_in_force
 from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.compensation.export import CONTENTS, ExportFiles
-from rotcal_ros.compensation.held_table import Effect, effect_of_result, held_table, in_force_of
+from rotcal_ros.compensation.held_table import (
+    CorrectionEffect,
+    effect_from_result,
+    hash_in_force,
+    held_table,
+)
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
-from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
+from rotcal_ros.compensation.writing import PROVENANCE, without_provenance
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
 from rotcal_ros.evaluation.verification import Verification, positioning
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
@@ -33,7 +38,7 @@ from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import REQUEST, VERIFICATION, SessionFolder
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, load_json, read_text
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.configuration import SIMULATION, Configuration, read_configuration
 from rotcal_ros.methods.simulation.table import true_runs
@@ -88,7 +93,9 @@ class Request:
 
     def files(self, source: ResultSource, cell: Configuration) -> dict[str, ExportFiles]:
         """Return the files of all controllers for ``source``, by controller."""
-        table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: None)
+        table = combine_with_table_in_force(
+            table_from_result(source.result, axis=cell.cell.axis), lambda: None
+        )
         # A control that repeats its table every turn cannot take an arc.
         fits = [n for n in CONTROLLERS if table.closed or n != "sinumerik"]
         usual = [n for n in fits if n in controller_names()]
@@ -98,7 +105,9 @@ class Request:
     def added(self, source: ResultSource, cell: Configuration, first: ExportFiles) -> ExportFiles:
         """Return the files of the control, with what ``source`` found added to ``first``."""
         held = held_table(first.controller, first.files)
-        table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: held)
+        table = combine_with_table_in_force(
+            table_from_result(source.result, axis=cell.cell.axis), lambda: held
+        )
         name = self.applied(cell)
         return self._export(source, table, cell, name)[name]
 
@@ -184,7 +193,7 @@ def verify(
     if after is None:
         return None
     rounds = {"before": before, "after": after}
-    effect = effect_of_result(after.source.result, held_table(applied.controller, applied.files))
+    effect = effect_from_result(after.source.result, held_table(applied.controller, applied.files))
     if request.again and not (effect and effect.fault):
         further = request.added(after.source, after.cell, applied)
         name = request.applied(before.cell)
@@ -230,7 +239,7 @@ def _round(
     """
     tables = folder / TABLES[name]
     _write_once(exports, tables)
-    changes = [*_read_request(folder).check, f"cell.table_in_force={in_force_of(applied.files)}"]
+    changes = [*_read_request(folder).check, f"cell.table_in_force={hash_in_force(applied.files)}"]
     if before.cell.simulated:
         changes += [*_rows(applied), f"simulation.run={1 + list(TABLES).index(name)}"]
     elif not _is_loaded(folder, name, applied, loaded):
@@ -238,7 +247,7 @@ def _round(
     measured = _measure(SessionFolder(folder).configuration, folder / name, changes, folder)
     if measured is None or before.cell.simulated:
         return measured
-    found, wanted = measured.source.result.measured_on, in_force_of(applied.files)
+    found, wanted = measured.source.result.measured_on, hash_in_force(applied.files)
     if found != wanted:
         raise DataError(
             f"{folder / name} was measured with the table {found[:12]} in force, and the one to "
@@ -250,14 +259,14 @@ def _round(
 def _is_loaded(folder: Path, name: str, applied: ExportFiles, loaded: Loaded | None) -> bool:
     """Return whether a person has confirmed that the table is in the control; noted on disk."""
     word = folder / f"{LOADED}_{name}.json"
-    contents = in_force_of(applied.files)
+    contents = hash_in_force(applied.files)
     if word.is_file():
         if load_json(read_text(word)) == {"contents_sha256": contents}:
             return True
         raise DataError(
             f"{word} is about another table than {contents[:12]}: begin another verification"
         )
-    files = [folder / TABLES[name] / file for file in of_the_controller(applied.files)]
+    files = [folder / TABLES[name] / file for file in without_provenance(applied.files)]
     if loaded is None or not loaded(folder, files):
         return False
     write_atomically(word, json.dumps({"contents_sha256": contents}) + "\n")
@@ -276,12 +285,12 @@ def _read_request(folder: Path) -> Request:
         ) from None
     except (OSError, ValueError) as error:
         raise ConfigurationError(
-            f"{folder / REQUEST} is damaged: {why(error)}; begin anew: rotcal verify CONFIG"
+            f"{folder / REQUEST} is damaged: {cause_of(error)}; begin anew: rotcal verify CONFIG"
         ) from error
 
 
 def _outcome(
-    rounds: dict[str, FinishedSession], stated: float, effect: Effect | None
+    rounds: dict[str, FinishedSession], stated: float, effect: CorrectionEffect | None
 ) -> Verification:
     again = rounds.get("again")
     simulated = rounds["before"].cell.simulated
@@ -367,7 +376,7 @@ def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
     """
     left = {}
     for name, export in exports.items():
-        for file, text in of_the_controller(export.files).items():
+        for file, text in without_provenance(export.files).items():
             if (folder / file).is_file() and read_text(folder / file, "latin-1") != text:
                 raise DataError(
                     f"{folder / file} was changed since it was written; restore it, or begin anew"

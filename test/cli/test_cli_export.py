@@ -55,7 +55,8 @@ def export(tmp_path):
 
 @pytest.mark.parametrize("controller", controller_names())
 def test_every_controller_gets_its_files(export, tmp_path, controller):
-    run = export("--to", controller, "--spacing", 10, "--accept-unverified", "--json")
+    stated = ("--set", "backlash_deg=0") if controller == "linuxcnc" else ()
+    run = export("--to", controller, "--spacing", 10, "--accept-unverified", "--json", *stated)
     assert run.exit_code == 0, run.stderr
     told = json.loads(run.stdout)
     assert sorted(told["files"]) == sorted(str(p) for p in (tmp_path / "files").iterdir())
@@ -114,7 +115,13 @@ def test_the_lines_of_a_linuxcnc_table_go_where_they_belong(export, tmp_path):
 
 
 def test_a_linuxcnc_table_over_three_revolutions_subtracts_the_deviation(export, tmp_path):
-    run = export("--to", "linuxcnc", "--spacing", 15, "--revolutions", "-1:2")
+    arguments = "--to", "linuxcnc", "--spacing", 15, "--revolutions", "-1:2"
+    asked = export(*arguments)
+    assert asked.exit_code == 2
+    assert "BACKLASH of the joint is not known" in asked.stderr
+    assert "--set backlash_deg=DEG, 0 for none" in asked.stderr
+    assert not (tmp_path / "files").exists()
+    run = export(*arguments, "--set", "backlash_deg=0")
     assert run.exit_code == 0, run.stderr
     rows = np.loadtxt(tmp_path / "files" / "c_linuxcnc.comp")
     np.testing.assert_allclose(rows[:, 0], np.arange(-360, 721, 15))

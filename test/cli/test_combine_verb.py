@@ -57,7 +57,7 @@ def test_it_reports_compares_and_exports(combined, tmp_path):
     assert "consistency" in text
     assert "combined.json" in text
     tables = tmp_path / "tables"
-    ran = run("export", combined, "--to", "linuxcnc", "--replace", "--out", tables)
+    ran = run("export", combined, "--to", "csv", "--replace", "--out", tables)
     assert ran.exit_code == 0, ran.output
     assert list(tables.iterdir())
     ran = run("export", combined, "--to", "volumetric", "--out", tmp_path / "all")
@@ -98,9 +98,7 @@ def test_the_folder_of_a_session_stands_for_what_is_in_it(tmp_path):
     page = tmp_path / "page.html"
     assert run("report", session, "-o", page).exit_code == 0
     shutil.copy(PLATE, session / "result.json")
-    ran = run(
-        "export", session, "--to", "linuxcnc", "--replace", "--out", tmp_path / "t", "--json"
-    )
+    ran = run("export", session, "--to", "csv", "--replace", "--out", tmp_path / "t", "--json")
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout)["provenance"]["axis"] == "B"
     assert run("compare", session, TRACER).exit_code == 0

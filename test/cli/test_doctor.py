@@ -111,6 +111,7 @@ def test_a_full_disk(monkeypatch, tmp_path):
         ("9.1.2", "kilted", True, "Kilted, rclpy 9.1.2"),
         ("9.1.2", "jazzy", False, "Kilted, rclpy 9.1.2, but ROS_DISTRO=jazzy"),
         ("3.3.16", "humble", False, "Humble, rclpy 3.3.16"),
+        ("10.0.10", "lyrical", False, "Lyrical, rclpy 10.0.10"),
         ("11.0.0", "rolling", False, "unknown distribution, rclpy 11.0.0"),
     ],
 )

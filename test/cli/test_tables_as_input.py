@@ -146,7 +146,8 @@ def test_a_report_of_a_table(tmp_path, table, setup):
 def test_an_export_of_a_table_takes_settings_of_both_sides(lengths, tmp_path):
     done = run(
         "export", lengths, "--setup", TRACER, "--set", "cell.axis=A", "--to", "linuxcnc",
-        "--set", "joint=4", "--replace", "-o", tmp_path / "files", "--accept-unverified",
+        "--set", "joint=4", "--set", "backlash_deg=0", "--replace", "-o", tmp_path / "files",
+        "--accept-unverified",
     )  # fmt: skip
     assert done.exit_code == 0, done.stderr
     assert any("a_" in path.name.lower() for path in (tmp_path / "files").iterdir())

@@ -5,7 +5,12 @@ from dataclasses import replace
 import pytest
 from test_feed import made_before, table_of
 
-from rotcal_ros.compensation.agreement import Accepted, MachineIdentity, agreeing, words_of
+from rotcal_ros.compensation.agreement import (
+    AcceptedConflicts,
+    MachineIdentity,
+    check_table_for_machines,
+    split_words,
+)
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 DAY_NS = 86_400 * 10**9
@@ -18,7 +23,7 @@ def table(serial="4711", axis="C"):
 
 def asked(made, days=1.0, machines=MACHINE, words=(), largest=30.0):
     now_ns = made.measured_from_ns + round(days * DAY_NS)
-    return agreeing(made, machines, Accepted(words, largest), now_ns)
+    return check_table_for_machines(made, machines, AcceptedConflicts(words, largest), now_ns)
 
 
 def test_what_agrees_is_as_it_was():
@@ -57,21 +62,25 @@ def test_the_largest_age_can_be_set_and_what_has_no_date_goes_by_when_it_was_mad
     assert asked(table(), 366.0, largest=400.0)
     undated = replace(table(), measured_from_ns=0)
     now_ns = 500 * DAY_NS
-    (*_, said) = agreeing(undated, MACHINE, Accepted(), now_ns).warnings
+    (*_, said) = check_table_for_machines(undated, MACHINE, AcceptedConflicts(), now_ns).warnings
     assert "it is not known how many days ago this was measured, at most 30 are accepted" in said
-    dated = agreeing(undated, MACHINE, Accepted(), now_ns, made_ns=490 * DAY_NS)
+    dated = check_table_for_machines(
+        undated, MACHINE, AcceptedConflicts(), now_ns, made_ns=490 * DAY_NS
+    )
     assert dated is undated
     with pytest.raises(DataError, match="100 days old"):
-        agreeing(undated, MACHINE, Accepted(), now_ns, made_ns=400 * DAY_NS)
+        check_table_for_machines(
+            undated, MACHINE, AcceptedConflicts(), now_ns, made_ns=400 * DAY_NS
+        )
 
 
 @pytest.mark.parametrize("wrong", [("seriel",), ("",), ("all",)])
 def test_a_word_that_accepts_nothing_is_refused(wrong):
     with pytest.raises(ConfigurationError, match="expected one of axis, serial, age"):
-        Accepted(wrong)
+        AcceptedConflicts(wrong)
     with pytest.raises(ConfigurationError, match="largest age"):
-        Accepted(largest_age_days=0.0)
+        AcceptedConflicts(largest_age_days=0.0)
 
 
 def test_words_come_in_any_grouping():
-    assert words_of(["serial,age", "axis"]) == ("serial", "age", "axis")
+    assert split_words(["serial,age", "axis"]) == ("serial", "age", "axis")

@@ -9,10 +9,10 @@ from compensation_examples import TAU, even, result_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.compensation.cascaded_tables import added, combined
+from rotcal_ros.compensation.cascaded_tables import add_tables, combine_with_table_in_force
 from rotcal_ros.compensation.earlier_export import read_earlier
-from rotcal_ros.compensation.export import prepare_export, standing
-from rotcal_ros.compensation.held_table import held_table, in_force_of
+from rotcal_ros.compensation.export import describe_replacement, prepare_export
+from rotcal_ros.compensation.held_table import hash_in_force, held_table
 from rotcal_ros.compensation.plain_csv import PlainCsv
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
@@ -83,7 +83,7 @@ def test_the_sum_is_what_two_controllers_in_series_do(first, second, play, count
     held_files = exported(measured(Axis(first, play), even(36))).files
     held = held_table(PlainCsv(), held_files)
     new = measured(Axis(second, play), even(count), measured_on=held.in_force)
-    total = added(new, held)
+    total = add_tables(new, held)
     assert set(np.round(new.angles, 9)) <= set(np.round(total.angles, 9))
     control = Control(held_files)
     for way, further, both in zip(
@@ -104,7 +104,7 @@ def test_the_second_round_is_not_worse_than_the_first(harmonics, play, counts):
     first = exported(measured(axis, even(counts[0])))
     control, held = Control(first.files), held_table(PlainCsv(), first.files)
     rest = measured(axis, even(counts[1]), [control], held.in_force)
-    second = exported(combined(rest, lambda: held))
+    second = exported(combine_with_table_in_force(rest, lambda: held))
     once, twice = left(axis, first.files, fine), left(axis, second.files, fine)
     # the straight lines between rows 10 deg apart stay, and so does what the digits hold
     assert twice <= once + 1.1 * first.residual.interpolation + 1e-3 * ARCSEC
@@ -119,7 +119,7 @@ def test_a_table_that_was_wrong_is_put_right_by_what_is_measured_on_top_of_it():
     held = held_table(PlainCsv(), wrong.files)
     rest = measured(axis, even(36), [Control(wrong.files)], held.in_force)
     assert left(axis, wrong.files, fine) > 20.0 * ARCSEC
-    right = exported(combined(rest, lambda: held), 5.0)
+    right = exported(combine_with_table_in_force(rest, lambda: held), 5.0)
     assert left(axis, right.files, fine) <= 2.0 * right.residual.stated < 1.0 * ARCSEC
 
 
@@ -132,7 +132,7 @@ def test_the_uncertainty_is_that_of_the_new_measurement_as_drawn_at_random():
     base = np.zeros((4000, 36)) + 30.0 * ARCSEC * np.sin(angles)
     sums = (n := base + draws) + held.correction(angles + n, Approach.POSITIVE)
     result = replace(result_of(angles, -base[0], std), measured_on=held.in_force)
-    total = added(table_from_result(result), held)
+    total = add_tables(table_from_result(result), held)
     at = np.searchsorted(total.angles, angles - 1e-9)
     drawn = np.std(sums, axis=0)
     np.testing.assert_allclose(total.std[at][1:], drawn[1:], rtol=0.06)
@@ -144,7 +144,7 @@ def test_the_zero_stays_that_of_the_table_in_force():
     first = measured(axis, even(36))
     files = prepare_export(first, "csv", now=NOW, reference_angle=90.0 * DEGREE).files
     held = held_table(PlainCsv(), files)
-    total = added(measured(axis, even(36), [Control(files)], held.in_force), held)
+    total = add_tables(measured(axis, even(36), [Control(files)], held.in_force), held)
     assert total.reference_angle == pytest.approx(np.pi / 2)
     assert total.correction_forward[9] == pytest.approx(0.0, abs=1e-15)
     assert np.max(np.abs(total.correction_forward - held.correction(total.angles, WAYS[0]))) < (
@@ -177,7 +177,7 @@ def test_a_wrong_combination_is_refused_with_the_reason(measured_on, word, there
     held = held_small()
     table = small(measured_on=held.in_force if measured_on == "held" else measured_on)
     with pytest.raises(DataError, match=reason):
-        combined(table, lambda: held if there else None, word)
+        combine_with_table_in_force(table, lambda: held if there else None, word)
 
 
 @pytest.mark.parametrize(
@@ -197,13 +197,13 @@ def test_what_fits_is_taken_and_told(measured_on, word, words):
     table = replace(
         table, correction_forward=np.roll(table.correction_forward, 3)
     )  # another shape
-    done = combined(table, lambda: held, word)
-    assert standing(done).startswith(words)
+    done = combine_with_table_in_force(table, lambda: held, word)
+    assert describe_replacement(done).startswith(words)
     on_word = any("the word of a person" in warning for warning in done.warnings)
     assert on_word == (measured_on == "unknown")
     if done.adds_to:
         with pytest.raises(DataError, match="contains the table"):
-            combined(done, lambda: held, "add")
+            combine_with_table_in_force(done, lambda: held, "add")
 
 
 def test_what_a_table_left_is_never_written_alone():
@@ -215,7 +215,7 @@ def test_an_arc_is_not_added_to_a_circle():
     arc = replace(small(), period=0.0, measured_on=held_small().in_force)
     arc = replace(arc, correction_forward=np.roll(arc.correction_forward, 3))  # another shape
     with pytest.raises(DataError, match="one in force covers the full circle"):
-        combined(arc, held_small)
+        combine_with_table_in_force(arc, held_small)
 
 
 def test_tables_without_this_knowledge_keep_their_hash():
@@ -239,7 +239,7 @@ def test_an_earlier_export_is_read_whole_or_not_at_all(tmp_path):
     export = exported(small(measured_on="none"))
     write_files(export.files, tmp_path)
     held = read_earlier(tmp_path, "csv", "C")
-    assert held.in_force == in_force_of(export.files)
+    assert held.in_force == hash_in_force(export.files)
     at = np.linspace(-7.0, 7.0, 300)
     expected = [Control(export.files).moved(at, way) - at for way in WAYS]
     for way, values in zip(WAYS, expected, strict=True):

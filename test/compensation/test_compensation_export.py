@@ -181,7 +181,7 @@ def test_volumetric_tables_hold_every_bit():
 
 
 @pytest.mark.parametrize(("form", "module", "name"), [
-    ("csv", controller_files, "numbers"), ("json", json, "loads"),
+    ("csv", controller_files, "parse_numbers"), ("json", json, "loads"),
 ])  # fmt: skip
 def test_a_volumetric_file_that_reads_back_differently_is_refused(form, module, name, monkeypatch):
     reader = getattr(module, name)

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from rotcal_ros.compensation.table import (
     CompensationTable,
     Correction,
-    averaged,
+    average_directions,
     resample,
     table_from_result,
 )
@@ -126,7 +126,7 @@ def test_both_directions_keep_the_reversal():
         table.correction_reverse - table.correction_forward, 4.0 * ARCSEC, atol=1e-18
     )
     assert not table.warnings
-    mean = averaged(table)
+    mean = average_directions(table)
     np.testing.assert_allclose(mean.correction_forward, table.correction_forward, atol=1e-18)
     assert "4 arcsec of reversal remain" in mean.warnings[-1]
 

@@ -11,7 +11,7 @@ from compensation_examples import TAU, arc, turn
 
 from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.linuxcnc import load
+from rotcal_ros.compensation.linuxcnc import load_as_linuxcnc
 from rotcal_ros.compensation.writing import check_file_name, check_stem, write_files
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, ControllerError
@@ -92,15 +92,19 @@ def test_steps_of_values_and_positions_of_linuxcnc():
 
 def test_linuxcnc_without_rows_corrects_nothing_and_one_row_is_held():
     at = np.array([-1.0, 0.0, 9.0])
-    np.testing.assert_array_equal(load("", 1).correction(at, UP), np.zeros(3))
-    np.testing.assert_allclose(load("10 0.5 -0.5\n", 1).correction(at, DOWN), -0.5 * DEGREE)
+    np.testing.assert_array_equal(load_as_linuxcnc("", 1).correction(at, UP), np.zeros(3))
+    np.testing.assert_allclose(
+        load_as_linuxcnc("10 0.5 -0.5\n", 1).correction(at, DOWN), -0.5 * DEGREE
+    )
 
 
 def test_linuxcnc_says_what_it_swallows():
     """As the real program does: an entry too many, and one that does not increase."""
     rows = "".join(f"{k} 0 0\n" for k in range(257))
-    assert load(rows, 1).messages == ("too many compensation entries",)
-    assert load("0 0 0\n0 0 0\n1 0 0\n", 1).messages == ("compensation values must increase",)
+    assert load_as_linuxcnc(rows, 1).messages == ("too many compensation entries",)
+    assert load_as_linuxcnc("0 0 0\n0 0 0\n1 0 0\n", 1).messages == (
+        "compensation values must increase",
+    )
     words = "3 lines, of which LinuxCNC uses 2; expected all; compensation values must increase"
     ini = "[JOINT_0]\n  COMP_FILE_TYPE  =  1 \n"
     with pytest.raises(BagError, match=words):

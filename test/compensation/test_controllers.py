@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.compensation.writing import of_the_controller
+from rotcal_ros.compensation.writing import without_provenance
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -184,7 +184,7 @@ def test_files_are_named_as_the_controller_declares(name):
     angles = even(36)
     files = export(table_from_result(result_of(angles, wavy(angles))), name, TAU / 36).files
     own = [f"c_{name}{suffix}" for suffix in make_controller(name).suffixes]
-    assert own == list(of_the_controller(files))
+    assert own == list(without_provenance(files))
 
 
 @pytest.mark.parametrize("name", controller_names())

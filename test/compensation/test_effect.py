@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, even
 
-from rotcal_ros.compensation.held_table import effect
+from rotcal_ros.compensation.held_table import regress_on_correction
 from rotcal_ros.foundation.units import ARCSEC
 
 
@@ -40,7 +40,7 @@ def good(angles):
     ],
 )
 def test_the_factor_tells_what_the_control_makes_of_its_table(gain, factor, words):
-    found = effect(*left_by(gain, PARTS, good))
+    found = regress_on_correction(*left_by(gain, PARTS, good))
     assert abs(found.factor - factor) < 5.0 * found.std < 0.05
     assert (words in found.fault) if words else found.fault is None
     assert not (found.fault or "").endswith("?")  # sentences follow
@@ -49,7 +49,7 @@ def test_the_factor_tells_what_the_control_makes_of_its_table(gain, factor, word
 
 
 def test_the_uncertainty_of_the_factor_is_that_of_the_measurement():
-    found = [effect(*left_by(0.0, PARTS, good, seed=seed)) for seed in range(400)]
+    found = [regress_on_correction(*left_by(0.0, PARTS, good, seed=seed)) for seed in range(400)]
     spread = np.std([f.factor - 1.0 for f in found])
     # sigma / sqrt(sum of squares of the shape), by hand: 0.2 / (sqrt(18 (20^2 + 6^2 + 1.5^2)))
     by_hand = 0.2 / np.sqrt(18.0 * (20.0**2 + 6.0**2 + 1.5**2))
@@ -62,7 +62,7 @@ def test_an_axis_that_has_changed_its_shape_is_no_fault_of_the_table(seed):
     """Mounted anew: eccentricity of any size and direction, other harmonics worn."""
     draw = np.random.default_rng(seed)
     changed = [(k, a * draw.uniform(0.5, 1.6), p + draw.normal() * 0.4) for k, a, p in PARTS]
-    assert effect(*left_by(1.0, changed, good, seed=seed)).fault is None
+    assert regress_on_correction(*left_by(1.0, changed, good, seed=seed)).fault is None
 
 
 @pytest.mark.parametrize("share", [0.01, 0.002])
@@ -73,11 +73,16 @@ def test_a_table_that_corrects_nearly_nothing_is_not_called_wrong(share):
         return share * good(angles)
 
     for seed in range(20):
-        assert effect(*left_by(1.0, PARTS, tiny, std=1.0, seed=seed)).fault is None
-        assert effect(*left_by(0.0, ((1, share, 0.3),), tiny, std=1.0, seed=seed)).fault is None
+        assert regress_on_correction(*left_by(1.0, PARTS, tiny, std=1.0, seed=seed)).fault is None
+        assert (
+            regress_on_correction(
+                *left_by(0.0, ((1, share, 0.3),), tiny, std=1.0, seed=seed)
+            ).fault
+            is None
+        )
 
 
 def test_a_table_of_nothing_has_no_effect_to_tell():
-    assert effect(np.zeros(5), np.full(5, 0.1), np.eye(5)) is None
-    assert effect(np.zeros(2), np.arange(2.0), np.eye(2)) is None
+    assert regress_on_correction(np.zeros(5), np.full(5, 0.1), np.eye(5)) is None
+    assert regress_on_correction(np.zeros(2), np.arange(2.0), np.eye(2)) is None
     assert TAU > 6.0

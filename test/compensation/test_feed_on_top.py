@@ -7,7 +7,7 @@ import pytest
 from test_feed import COMP, Cell, applied, made_before, table_of, trims, undone
 
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.held_table import in_force_of
+from rotcal_ros.compensation.held_table import hash_in_force
 from rotcal_ros.foundation.errors import DataError
 
 
@@ -17,7 +17,7 @@ def cell(tmp_path):
 
 
 def held_now(cell):
-    return in_force_of({n: t.decode() for n, t in cell.files().items()})
+    return hash_in_force({n: t.decode() for n, t in cell.files().items()})
 
 
 def test_what_is_in_force_is_unknown_before_the_first_change_and_a_hash_after(cell):

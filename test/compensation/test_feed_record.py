@@ -12,7 +12,7 @@ from test_feed import COMP, SECOND, Cell, applied, made_before, table_of, undone
 
 from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.journal import Entry, Journal
+from rotcal_ros.compensation.journal import Journal, JournalEntry
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import ControllerError, DataError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -244,7 +244,7 @@ def test_a_feed_keeps_to_the_folder_and_the_patience_of_its_settings(cell):
 
 # The journal.
 
-ENTRY = Entry("applying", 5, "ab", "before-5", "00", "01")
+ENTRY = JournalEntry("applying", 5, "ab", "before-5", "00", "01")
 
 
 def test_entries_come_back_in_their_order(tmp_path):
@@ -314,7 +314,7 @@ def test_what_is_undone_next(tmp_path, events, undo, restored_ns):
         elif event[0] == "B":
             wanted = journal.to_undo().before_hash
         action = actions.get(event[0], "restored")
-        journal.note(Entry(action, int(event[1:]), "ab", event, held, wanted))
+        journal.note(JournalEntry(action, int(event[1:]), "ab", event, held, wanted))
         held = wanted if event[0] in "aR" else held
     found = journal.to_undo()
     assert (found and found.backup) == undo

@@ -16,7 +16,7 @@ from rotcal_ros.compensation.export import residual_budget, simulate
 from rotcal_ros.compensation.table import (
     CompensationTable,
     Correction,
-    averaged,
+    average_directions,
     resample,
     table_from_result,
 )
@@ -212,7 +212,7 @@ def test_an_arc_is_counted_from_any_angle_in_it():
 
 def test_the_mean_of_both_directions_is_zero_at_the_reference():
     table = two_ways(reference_angle=even(24)[3])
-    found = averaged(table)
+    found = average_directions(table)
     mean = (table.correction_forward + table.correction_reverse) / 2.0
     mean = mean - mean[3]
     np.testing.assert_allclose(found.correction_forward, mean, atol=1e-18)
@@ -223,7 +223,7 @@ def test_the_mean_of_both_directions_is_zero_at_the_reference():
     assert found.warnings == ("known", words)
     np.testing.assert_allclose(mean_deg(table)[:-1], np.rad2deg(mean), atol=1e-16)
     same = replace(table, correction_reverse=table.correction_forward)
-    assert averaged(same) is same
+    assert average_directions(same) is same
 
 
 # A table by itself.

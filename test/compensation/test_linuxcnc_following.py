@@ -9,13 +9,13 @@ from compensation_examples import TAU, even, result_of, wavy
 
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.linuxcnc import Following
+from rotcal_ros.compensation.linuxcnc import JointLimits
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 NOW = datetime(2026, 1, 2, tzinfo=timezone.utc)
-FAST = Following(20000 * DEGREE, 2000 * DEGREE, 0.001)
-SLOW = Following(3600 * DEGREE, 360 * DEGREE, 0.001)
+FAST = JointLimits(20000 * DEGREE, 2000 * DEGREE, 0.001)
+SLOW = JointLimits(3600 * DEGREE, 360 * DEGREE, 0.001)
 
 
 def exported(reversal_arcsec, **settings):
@@ -70,7 +70,7 @@ def test_the_dead_band_is_a_quarter_to_half_of_what_the_acceleration_gives(follo
 
 
 def test_a_joint_of_little_speed_has_no_dead_band():
-    slow = Following(20000 * DEGREE, 8 * DEGREE, 0.001)  # 4 deg/s are reached in half a period
+    slow = JointLimits(20000 * DEGREE, 8 * DEGREE, 0.001)  # 4 deg/s are reached in half a period
     assert slow.in_motion < slow.at_once
     changes = np.linspace(1.0, 60.0, 60) * ARCSEC
     assert not np.any(slow.stands(changes))

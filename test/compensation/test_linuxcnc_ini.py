@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
 
-from rotcal_ros.compensation.agreement import Accepted, MachineIdentity
+from rotcal_ros.compensation.agreement import AcceptedConflicts, MachineIdentity
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.earlier_export import to_be_in_force
+from rotcal_ros.compensation.earlier_export import combine_with_earlier_export
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.feed import largest_change
-from rotcal_ros.compensation.held_table import in_force_of
-from rotcal_ros.compensation.linuxcnc import UNKNOWN_BACKLASH, hook_up
-from rotcal_ros.compensation.linuxcnc_machine import Ini, Joint, agent_command
+from rotcal_ros.compensation.held_table import hash_in_force
+from rotcal_ros.compensation.linuxcnc import UNKNOWN_BACKLASH, find_loaded_tables
+from rotcal_ros.compensation.linuxcnc_machine import IniFile, Joint, agent_command
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import DEGREE
@@ -60,19 +60,19 @@ def exported(machine, axis="A", **settings):
 
 
 def test_the_first_section_and_the_first_line_count(machine):
-    ini = Ini.read(machine)
+    ini = IniFile.read(machine)
     assert ini.value("JOINT_3", "MAX_VELOCITY") == "90.0"
     assert ini.number("JOINT_3", "MAX_ACCELERATION", 1.0) == 200.0
     assert ini.value("JOINT_3", "HOME") is None
     assert ini.value("JOINT_1", "TYPE") is None
-    twice = Ini(machine, TEXT + "[JOINT_3]\nHOME = 5\n")
+    twice = IniFile(machine, TEXT + "[JOINT_3]\nHOME = 5\n")
     assert twice.value("JOINT_3", "HOME") is None  # LinuxCNC does not look there
     assert twice.count("JOINT_3") == 2
 
 
 def test_lines_go_into_their_section_and_nothing_else_changes():
     text = TEXT.replace("\n", "\r\n").replace("a machine", "Dreht\xfcr")
-    merged = Ini(None, text).merged("JOINT_3", {"COMP_FILE": "new.comp", "COMP_FILE_TYPE": 1})
+    merged = IniFile(None, text).merged("JOINT_3", {"COMP_FILE": "new.comp", "COMP_FILE_TYPE": 1})
     lines = merged.split("\r\n")
     gone = [line for line in text.split("\r\n") if line not in lines]
     new = [line for line in lines if line not in text.split("\r\n")]
@@ -80,7 +80,7 @@ def test_lines_go_into_their_section_and_nothing_else_changes():
         ["COMP_FILE = old.comp"],
         ["COMP_FILE = new.comp", "COMP_FILE_TYPE = 1"],
     )
-    ini = Ini(None, merged)
+    ini = IniFile(None, merged)
     assert ini.value("JOINT_3", "COMP_FILE") == "new.comp"
     assert ini.value("JOINT_3", "COMP_FILE_TYPE") == "1"
     again = ini.merged("JOINT_3", {"COMP_FILE": "new.comp", "COMP_FILE_TYPE": 1})
@@ -88,17 +88,17 @@ def test_lines_go_into_their_section_and_nothing_else_changes():
 
 
 def test_a_section_at_the_end_without_a_line_end_is_completed():
-    merged = Ini(None, "[JOINT_0]\nTYPE = ANGULAR").merged("JOINT_0", {"COMP_FILE": "a.comp"})
+    merged = IniFile(None, "[JOINT_0]\nTYPE = ANGULAR").merged("JOINT_0", {"COMP_FILE": "a.comp"})
     assert merged == "[JOINT_0]\nTYPE = ANGULAR\nCOMP_FILE = a.comp\n"
 
 
 def test_what_stands_twice_or_elsewhere_is_not_merged(machine):
     with pytest.raises(ConfigurationError, match="ignores all but the first"):
-        Ini(machine, TEXT + "[JOINT_3]\n").merged("JOINT_3", {"COMP_FILE": "a"})
+        IniFile(machine, TEXT + "[JOINT_3]\n").merged("JOINT_3", {"COMP_FILE": "a"})
     with pytest.raises(ConfigurationError, match=r"holds 0 sections \[JOINT_7\]"):
-        Ini(machine, TEXT).merged("JOINT_7", {"COMP_FILE": "a"})
+        IniFile(machine, TEXT).merged("JOINT_7", {"COMP_FILE": "a"})
     (machine.parent / "joint.inc").write_text("[JOINT_9]\nTYPE = ANGULAR\n")
-    included = Ini(machine, TEXT + "#INCLUDE joint.inc\n")
+    included = IniFile(machine, TEXT + "#INCLUDE joint.inc\n")
     assert included.value("JOINT_9", "TYPE") == "ANGULAR"
     with pytest.raises(ConfigurationError, match="in an included file"):
         included.merged("JOINT_9", {"COMP_FILE": "a"})
@@ -109,7 +109,7 @@ def test_an_export_for_a_machine_knows_joint_limits_and_period(machine, tmp_path
     controller = made.controller
     assert (controller.joint, controller.servo_period_ns) == (3, 500_000)
     assert (controller.max_acceleration_deg_s2, controller.max_velocity_deg_s) == (200.0, 90.0)
-    copy = Ini(tmp_path, made.with_machine_files()["xyza.ini"])
+    copy = IniFile(tmp_path, made.with_machine_files()["xyza.ini"])
     assert copy.value("JOINT_3", "COMP_FILE") == "a_linuxcnc.comp"
     assert copy.value("JOINT_3", "COMP_FILE_TYPE") == "1"
     assert exported(machine, max_acceleration_deg_s2=5.0).controller.max_acceleration_deg_s2 == 5.0
@@ -179,7 +179,7 @@ def test_a_table_that_the_machine_does_not_name_is_not_in_use(machine, tmp_path)
 
 
 def test_the_hook_up_of_a_machine_is_looked_at(machine, tmp_path):
-    ((about, wrong),) = hook_up(machine)
+    ((about, wrong),) = find_loaded_tables(machine)
     assert about == "[JOINT_3] old.comp, type 0"
     assert wrong == (
         f"{tmp_path / 'old.comp'}: No such file or directory: LinuxCNC does not start",
@@ -187,30 +187,30 @@ def test_the_hook_up_of_a_machine_is_looked_at(machine, tmp_path):
     made = exported(machine)
     for name, text in made.with_machine_files().items():
         (tmp_path / name).write_text(text)
-    assert list(hook_up(machine)) == [("[JOINT_3] a_linuxcnc.comp, type 1", ())]
+    assert list(find_loaded_tables(machine)) == [("[JOINT_3] a_linuxcnc.comp, type 1", ())]
 
     text = machine.read_text()
     machine.write_text(text.replace("COMP_FILE_TYPE = 1", "COMP_FILE_TYPE = 0"))
-    ((_, wrong),) = hook_up(machine)
+    ((_, wrong),) = find_loaded_tables(machine)
     assert ["another type" in words for words in wrong] == [True]
     machine.write_text(text.replace("[JOINT_0]", "[JOINT_3]").replace("= 720", "= 721"))
-    ((_, wrong),) = hook_up(machine)
+    ((_, wrong),) = find_loaded_tables(machine)
     assert "ignores all but the first" in wrong[0]
     assert "from -360 to 721 deg" in wrong[1]
     table = tmp_path / "a_linuxcnc.comp"
     machine.write_text(text)
     table.write_text("# header\n" + table.read_text())
-    ((_, wrong),) = hook_up(machine)
+    ((_, wrong),) = find_loaded_tables(machine)
     assert wrong == ("of 110 lines LinuxCNC uses 0",)
     machine.write_text(text.replace("COMP_FILE = ", "# "))
-    assert list(hook_up(machine)) == []
+    assert list(find_loaded_tables(machine)) == []
 
 
 def test_the_travel_is_that_of_axis_and_joint(machine):
-    joint = Joint.of_axis(Ini.read(machine), "A", 0)
+    joint = Joint.of_axis(IniFile.read(machine), "A", 0)
     assert joint.travel_deg == (-360.0, 720.0)
     assert joint.travel_beyond(-360.0, 720.0) is None
-    free = replace(joint, ini=Ini(machine, TEXT.replace("MAX_LIMIT", "MAXIMUM")))
+    free = replace(joint, ini=IniFile(machine, TEXT.replace("MAX_LIMIT", "MAXIMUM")))
     assert free.travel_deg == (-360.0, 1e99)
     assert np.char.find(free.travel_beyond(-360.0, 720.0), "revolutions") == -1
 
@@ -272,11 +272,11 @@ def test_backlash_is_added_once_and_only_where_it_acted(machine, tmp_path):
         (tmp_path / name).write_text(text)
     left = replace(
         table_from_result(result_of(even(36), 0.05 * wavy(even(36))), axis="A"),
-        measured_on=in_force_of(held),
+        measured_on=hash_in_force(held),
     )
     machines = {"machine": MachineIdentity("A", "")}
-    total = to_be_in_force(
-        left, "linuxcnc", machines, Accepted(), 0, measured_ns=1, add_to=tmp_path
+    total = combine_with_earlier_export(
+        left, "linuxcnc", machines, AcceptedConflicts(), 0, measured_ns=1, add_to=tmp_path
     )
     settings = {"machine_ini": str(machine), "first_turn": -1, "turns": 3}
     made = prepare_export(total, "linuxcnc", now=NOW, spacing=TAU / 36, settings=settings)
@@ -315,12 +315,12 @@ def test_a_backlash_that_is_not_known_or_not_read_is_said(machine):
 
 def test_the_hook_up_says_what_becomes_of_backlash(machine, tmp_path):
     machine.write_text(TEXT.replace(LINE, f"BACKLASH = {PLAY}\n"))
-    ((about, wrong),) = hook_up(machine)
+    ((about, wrong),) = find_loaded_tables(machine)
     assert about == "[JOINT_3] no table"
     assert "BACKLASH = 0.01 deg (36 arcsec) acts only until it has one" in wrong[0]
     for name, text in exported(machine).with_machine_files().items():
         (tmp_path / name).write_text(text)
-    ((about, wrong),) = hook_up(machine)
+    ((about, wrong),) = find_loaded_tables(machine)
     assert about == (
         "[JOINT_3] a_linuxcnc.comp, type 1; BACKLASH = 0.01 deg (36 arcsec) is ignored with "
         "this table"
@@ -328,7 +328,7 @@ def test_the_hook_up_says_what_becomes_of_backlash(machine, tmp_path):
     assert wrong == ()
     for name, text in exported(machine, backlash_deg=0.0).with_machine_files().items():
         (tmp_path / name).write_text(text)
-    ((_, wrong),) = hook_up(machine)
+    ((_, wrong),) = find_loaded_tables(machine)
     assert wrong == (
         "BACKLASH = 0.01 is ignored, and both columns are equal: nothing corrects the reversal",
     )

@@ -6,7 +6,7 @@ from compensation_examples import TAU, d4_table, even, result_of, wavy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.compensation.linuxcnc import LinuxCnc, load
+from rotcal_ros.compensation.linuxcnc import LinuxCnc, load_as_linuxcnc
 from rotcal_ros.compensation.table import resample, table_from_result
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
@@ -39,7 +39,7 @@ MEASURED = [  # joint position, direction, motor command, all read from LinuxCNC
 
 @pytest.mark.parametrize(("joint", "approach", "motor"), MEASURED)
 def test_rule_gives_the_motor_commands_of_the_real_program(joint, approach, motor):
-    trim = load(TABLE, 1).correction(np.array([joint * DEGREE]), approach)[0] / DEGREE
+    trim = load_as_linuxcnc(TABLE, 1).correction(np.array([joint * DEGREE]), approach)[0] / DEGREE
     assert joint + trim == pytest.approx(motor, abs=1e-7)
 
 
@@ -56,7 +56,7 @@ def test_rule_gives_the_motor_commands_of_the_real_program(joint, approach, moto
     ],
 )
 def test_malformed_tables_load_as_the_real_program_loads_them(text, rows, messages):
-    loaded = load(text, 1)
+    loaded = load_as_linuxcnc(text, 1)
     assert (len(loaded.nominal_deg), len(loaded.messages)) == (rows, messages)
 
 
@@ -94,7 +94,7 @@ def test_writer_never_makes_a_table_that_loads_only_partly(rows, turns, first, f
     table = table_from_result(result_of(angles, wavy(angles, [(1, scale, 1.0)])))
     controller = LinuxCnc(file_type=file_type, turns=turns, first_turn=first)
     files = controller.write(table, "t")
-    loaded = load(files["t.comp"], file_type)
+    loaded = load_as_linuxcnc(files["t.comp"], file_type)
     assert len(loaded.nominal_deg) == rows * turns + 1 <= 256
     assert not loaded.messages
     assert loaded.nominal_deg[0] == 360.0 * first
@@ -103,7 +103,9 @@ def test_writer_never_makes_a_table_that_loads_only_partly(rows, turns, first, f
 
 
 def test_trims_are_held_in_single_precision():
-    trim = load("0 0.1 0.1\n360 0.1 0.1\n", 1).correction(np.array([1.0]), UP)[0] / DEGREE
+    trim = (
+        load_as_linuxcnc("0 0.1 0.1\n360 0.1 0.1\n", 1).correction(np.array([1.0]), UP)[0] / DEGREE
+    )
     assert trim == pytest.approx(float(np.float32(0.1)), abs=1e-16)
     assert trim != pytest.approx(0.1, abs=1e-12)
 

@@ -9,11 +9,11 @@ from rotcal_ros.compensation.controller_files import (
     columns_deg,
     even_interval_deg,
     fixed,
-    periodic,
+    interpolate_periodically,
     require_at_most,
     require_zero_at_start,
 )
-from rotcal_ros.compensation.linuxcnc import load
+from rotcal_ros.compensation.linuxcnc import load_as_linuxcnc
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -95,7 +95,7 @@ def test_a_periodic_rule_repeats_and_scales():
     rows, values = np.array([0.0, 90.0, 360.0]), np.array([0.0, 9.0, 0.0])
     at = np.array([45.0, 405.0, -315.0, 225.0, 0.0, 360.0]) * DEGREE
     expected = [4.5, 4.5, 4.5, 4.5, 0.0, 0.0]
-    np.testing.assert_allclose(periodic(at, rows, values), expected, atol=1e-9)
+    np.testing.assert_allclose(interpolate_periodically(at, rows, values), expected, atol=1e-9)
     table = PeriodicTable("f", rows, values, -values, -2.0)
     np.testing.assert_allclose(table.correction(at, UP), np.multiply(expected, -2.0), atol=1e-9)
     np.testing.assert_allclose(table.correction(at, DOWN), np.multiply(expected, 2.0), atol=1e-9)
@@ -137,7 +137,7 @@ def test_a_periodic_table_is_a_whole_turn_that_closes(rows, up, down, words):
     ],
 )
 def test_three_numbers_as_the_c_library_scans_them(line, values):
-    loaded = load(line + "\n", 1)
+    loaded = load_as_linuxcnc(line + "\n", 1)
     if values is None:
         assert len(loaded.nominal_deg) == 0
         return
@@ -146,5 +146,5 @@ def test_three_numbers_as_the_c_library_scans_them(line, values):
 
 
 def test_a_line_is_read_up_to_254_letters():
-    assert len(load("1 2" + " " * 250 + "3\n", 1).nominal_deg) == 1
-    assert len(load("1 2" + " " * 251 + "3\n", 1).nominal_deg) == 0
+    assert len(load_as_linuxcnc("1 2" + " " * 250 + "3\n", 1).nominal_deg) == 1
+    assert len(load_as_linuxcnc("1 2" + " " * 251 + "3\n", 1).nominal_deg) == 0

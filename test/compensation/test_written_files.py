@@ -12,10 +12,10 @@ import pytest
 from compensation_examples import d4_table, two_ways
 from independent_controls import CONTROLS
 
-from rotcal_ros.compensation.controller_files import number, only_file, parse_rows
+from rotcal_ros.compensation.controller_files import only_file, parse_number, parse_rows
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.writing import of_the_controller
+from rotcal_ros.compensation.writing import without_provenance
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
@@ -106,7 +106,7 @@ def test_parsing_names_file_and_row():
         parse_rows("f", ["0 1"], 2, None)
     for text in ("x", "nan", "-inf", " "):
         with pytest.raises(BagError, match=rf"^here: found '{text.strip()}', expected a number$"):
-            number(text, "here")
+            parse_number(text, "here")
 
 
 # Marks of a simulation.
@@ -125,7 +125,7 @@ def mark_as_simulated(control, has_comments, table):
         )
         for simulated in (False, True)
     ]
-    real, marked = (of_the_controller(done.files) for done in texts)
+    real, marked = (without_provenance(done.files) for done in texts)
     assert not any("SIMULATED" in text for text in real.values())
     assert all(("SIMULATED" in text) == has_comments for text in marked.values())
     at = np.linspace(0.0, 359.0, 97)

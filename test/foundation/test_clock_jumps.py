@@ -2,7 +2,12 @@
 
 import pytest
 
-from rotcal_ros.foundation.clock_jumps import ClockJump, ClockWatch, noted, read_note
+from rotcal_ros.foundation.clock_jumps import (
+    ClockJump,
+    ClockWatch,
+    jumps_from_metadata,
+    jumps_to_metadata,
+)
 
 NOON_NS = 1_700_000_000_000_000_000  # 2023-11-14T22:13:20Z
 
@@ -42,5 +47,5 @@ def test_a_true_clock_does_not_jump():
 
 def test_a_note_in_a_bag_gives_the_jumps_back_and_leaves_out_what_it_cannot_read():
     jumps = (ClockJump(-45 * 10**9, NOON_NS), ClockJump(10**9, NOON_NS + 5))
-    assert read_note(noted(jumps)) == jumps
-    assert read_note({"0": "x 1", "1": "5", "2": f"1 {10**40}", "3": "1 2 3"}) == ()
+    assert jumps_from_metadata(jumps_to_metadata(jumps)) == jumps
+    assert jumps_from_metadata({"0": "x 1", "1": "5", "2": f"1 {10**40}", "3": "1 2 3"}) == ()

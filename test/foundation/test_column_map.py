@@ -21,7 +21,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalErr
 from rotcal_ros.foundation.table_columns import SheetSettings
 from rotcal_ros.foundation.table_forms import FILE, form_reader, read_any
 from rotcal_ros.foundation.table_reading import Known, Reading
-from rotcal_ros.foundation.tables import read_table, table_of
+from rotcal_ros.foundation.tables import as_path_or_table, read_table
 
 DATA = Path(__file__).parents[2] / "examples" / "data"
 LENGTHS = (("position", "target", "length_m"), ("position", "target", "length_m", "segment"))
@@ -174,7 +174,7 @@ def test_what_is_no_number_is_refused_with_its_row(tmp_path, cell):
 
 
 def test_a_table_in_memory_is_read_by_the_same_map():
-    source = table_of({"Ziel": [0], "position": [0], "length_mm": [312.5]}, "mine")
+    source = as_path_or_table({"Ziel": [0], "position": [0], "length_mm": [312.5]}, "mine")
     reading = read_any(source, LENGTHS, SheetSettings(columns=("target=Ziel",)), lambda: KNOWN)
     assert reading.table.in_memory
     assert rows(reading)[0][:2] == ("0", "0")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from faulty_disk import Fault, FaultyDisk, faults
 
-from rotcal_ros.compensation.journal import Entry, Journal
+from rotcal_ros.compensation.journal import Journal, JournalEntry
 from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.foundation.errors import BagError, ControllerError
 from rotcal_ros.foundation.files import DurableFile, append_line, write_atomically
@@ -20,7 +20,7 @@ def replaced(folder: Path) -> None:
 
 
 def noted(folder: Path) -> None:
-    Journal(folder).note(Entry("applied", 2, "b", "before-2", "00", "01"))
+    Journal(folder).note(JournalEntry("applied", 2, "b", "before-2", "00", "01"))
 
 
 def exported(folder: Path) -> None:

@@ -31,7 +31,7 @@ def test_every_size_has_two_significant_digits_and_is_within_half_of_the_last_on
         text = gum_numbers.uncertainty(expanded)
         digits = text.replace(".", "").strip("0") if expanded >= 10 else text.split(".")[1]
         assert len(digits.lstrip("0")) <= 2, (expanded, text)
-        place = gum_numbers.place_of(expanded)
+        place = gum_numbers.last_digit_place(expanded)
         assert abs(float(text) - expanded) <= 0.5000001 * 10.0**place
         assert 10.0 ** (place + 1) <= float(text) * 1.0000001
 

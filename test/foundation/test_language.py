@@ -12,17 +12,17 @@ import pytest
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.language import (
     Phrase,
-    codes,
+    catalogue_folders,
     codes_of,
-    folders,
+    join_texts,
     language,
-    listed,
+    language_codes,
     phrase,
     with_codes,
 )
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
-OTHERS = codes()[1:]
+OTHERS = language_codes()[1:]
 
 
 def test_a_phrase_is_english_text_that_can_be_said_in_german():
@@ -42,10 +42,10 @@ def test_a_text_of_the_cell_stays_as_it_is_whatever_braces_it_has():
 
 
 def test_a_list_of_phrases_is_said_part_by_part():
-    both = listed([phrase("drift"), phrase("tilt")], ", ")
+    both = join_texts([phrase("drift"), phrase("tilt")], ", ")
     assert (both, language("de").say(both)) == ("drift, tilt", "Drift, Verkippung")
-    assert type(listed([], ", ")) is Phrase
-    assert listed([], ", ") == ""
+    assert type(join_texts([], ", ")) is Phrase
+    assert join_texts([], ", ") == ""
 
 
 PLACE = phrase("table position {0}, target {1}", 3, 30)
@@ -135,7 +135,7 @@ def test_a_catalogue_has_every_text_that_is_used_and_none_that_the_code_does_not
 ):
     known, wanted = language(code).texts, words.wanted()
     assert len(wanted) > 900
-    for folder in words.folders():
+    for folder in words.catalogue_folders():
         wanted |= words.wanted(folder)
     assert {text: where for text, where in wanted.items() if text not in known} == {}
     assert [text for text in known if text not in wanted] == []
@@ -154,7 +154,7 @@ def test_places_agree(code):
 def test_the_file_is_read_as_gettext_reads_it(code):
     pofile = pytest.importorskip("babel.messages.pofile")
     found = {}
-    for folder in folders():
+    for folder in catalogue_folders():
         with (folder / f"{code}.po").open("rb") as file:
             messages = [message for message in pofile.read_po(file) if message.id]
         assert not any(message.fuzzy for message in messages)

@@ -90,4 +90,4 @@ def test_a_machine_is_crowded_within_bounds(found, told):
 
 
 def test_the_load_is_told_with_the_cores():
-    assert re.fullmatch(r"load \d+\.\d on \d+ cores?", machine_load.describe())
+    assert re.fullmatch(r"load \d+\.\d on \d+ cores?", machine_load.describe_load())

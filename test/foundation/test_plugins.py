@@ -52,7 +52,7 @@ def test_an_exception_of_a_plug_in_names_it_and_the_line(plugin, tmp_path, capsy
     error = raised(plugin(MODULE)(), 0)
     assert isinstance(error, ZeroDivisionError)
     place = f"in the controller 'broken' (broken_drive: {tmp_path / 'broken_drive.py'}, line 5)"
-    assert plugins.culprit(error) == place
+    assert plugins.failing_plugin(error) == place
     assert _explain(error) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "unexpected ZeroDivisionError in the controller 'broken'" in told
@@ -63,7 +63,9 @@ def test_a_file_that_a_plug_in_does_not_find_is_its_own(plugin, tmp_path, capsys
     assert _explain(error) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "unexpected FileNotFoundError in the controller 'broken'" in told
-    assert plugins.describe(error).startswith("FileNotFoundError in the controller 'broken' (bro")
+    assert plugins.describe_error(error).startswith(
+        "FileNotFoundError in the controller 'broken' (bro"
+    )
 
 
 TWO = """
@@ -88,22 +90,22 @@ def test_of_two_plug_ins_in_one_module_the_one_at_work_is_named(plugin, monkeypa
     monkeypatch.setattr(
         plugins, "_found", lambda group: points if group == plugins.CONTROLLERS else {}
     )
-    told = plugins.culprit(raised(points[name].load()().write, 0))
+    told = plugins.failing_plugin(raised(points[name].load()().write, 0))
     assert told.startswith(f"in the controller {name.lower()!r} (broken_drive: ")
-    nobody = plugins.culprit(raised(points[name].load().write, None, 0))
+    nobody = plugins.failing_plugin(raised(points[name].load().write, None, 0))
     assert nobody.startswith("in the controller 'first' or controller 'second' (broken_drive: ")
 
 
 def test_what_a_plug_in_calls_is_its_own_matter(plugin):
     plugin(MODULE)()
     error = raised(sys.modules["broken_drive"].parse, "{")
-    assert "in the controller 'broken'" in plugins.culprit(error)
+    assert "in the controller 'broken'" in plugins.failing_plugin(error)
 
 
 def test_an_error_of_ours_is_blamed_on_nobody(plugin):
     plugin(MODULE)()
-    assert plugins.culprit(raised(lambda: 1 / 0)) is None
-    assert plugins.culprit(ValueError("never raised")) is None
+    assert plugins.failing_plugin(raised(lambda: 1 / 0)) is None
+    assert plugins.failing_plugin(ValueError("never raised")) is None
 
 
 @pytest.mark.parametrize(

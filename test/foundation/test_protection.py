@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rotcal_ros.foundation.protection import Effect, Protection, Treatment, ordered, two_lines
+from rotcal_ros.foundation.protection import (
+    Effect,
+    Protection,
+    Treatment,
+    ordered,
+    split_verdict_line,
+)
 from rotcal_ros.foundation.results import Result
 
 
@@ -33,10 +39,10 @@ def test_the_verdict_line_names_what_is_not_protected_in_the_fixed_order() -> No
 
 
 def test_both_lines_come_apart_again() -> None:
-    assert two_lines("ok (SIMULATED). Not tested for: drift, tilt") == (
+    assert split_verdict_line("ok (SIMULATED). Not tested for: drift, tilt") == (
         "ok (SIMULATED)", "Not tested for: drift, tilt"
     )  # fmt: skip
-    assert two_lines("suspect") == ("suspect", "")
+    assert split_verdict_line("suspect") == ("suspect", "")
 
 
 def test_protections_survive_a_file_and_a_file_may_have_none() -> None:

@@ -17,7 +17,7 @@ from rotcal_ros.foundation.results import (
     Rejection,
     Residuals,
     Result,
-    plain_fields,
+    json_fields,
 )
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -185,7 +185,7 @@ def test_what_json_lacks_is_null():
         column: np.ndarray
         by_name: dict[str, float]
 
-    found = plain_fields(Found(inf, np.array([1.0, -inf, nan]), {"knock": inf, "drift": 2.0}))
+    found = json_fields(Found(inf, np.array([1.0, -inf, nan]), {"knock": inf, "drift": 2.0}))
     assert json.loads(json.dumps(found, allow_nan=False)) == {
         "size": None, "column": [1.0, None, None], "by_name": {"knock": None, "drift": 2.0},
     }  # fmt: skip

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.plugins import name_hint
 from rotcal_ros.foundation.settings import (
     Constant,
     all_constants,
@@ -175,4 +175,4 @@ def test_mapping_round_trip(name: str, count: int, angles: list[float]) -> None:
     ],
 )
 def test_a_hint_is_never_empty(known, hint):
-    assert nearest("ball", known) == hint
+    assert name_hint("ball", known) == hint

@@ -4,7 +4,7 @@ import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.untrusted import require_no_secret
-from rotcal_ros.foundation.url_secrets import has_secret, masked, secrets_in
+from rotcal_ros.foundation.url_secrets import find_secrets, has_secret, mask_secrets
 
 SECRET = "SeCr3t"
 CARRYING = [
@@ -57,20 +57,20 @@ FREE_OF_IT = [
 @pytest.mark.parametrize("text", CARRYING)
 def test_a_secret_is_found_refused_and_masked(text):
     assert has_secret(text)
-    assert SECRET not in masked(text)
-    assert not has_secret(masked(text))
+    assert SECRET not in mask_secrets(text)
+    assert not has_secret(mask_secrets(text))
     assert SECRET not in str(DataError(f"{text!r} was found", f"log of {text}"))
     assert SECRET not in DataError("", f"log of {text}").log
     with pytest.raises(ConfigurationError, match=r"^here: a URL with a secret") as raised:
         require_no_secret(text, "here")
     assert SECRET not in str(raised.value)
-    assert list(secrets_in({"a": [{"b": text}], text: 1}, "x")) == ["x.a[0].b", "a name in x"]
+    assert list(find_secrets({"a": [{"b": text}], text: 1}, "x")) == ["x.a[0].b", "a name in x"]
 
 
 @pytest.mark.parametrize("text", FREE_OF_IT)
 def test_a_text_without_one_stays_as_it_is(text):
     assert not has_secret(text)
-    assert masked(text) == text
+    assert mask_secrets(text) == text
 
 
 def test_a_library_takes_blanks_into_a_password():

@@ -87,16 +87,16 @@ def controller_files() -> Iterable[bytes]:
 def read_controller_file(path: Path) -> None:
     """Give the file to every controller in the place of its own."""
     from rotcal_ros.compensation.controllers import make_controller
-    from rotcal_ros.compensation.writing import of_the_controller
+    from rotcal_ros.compensation.writing import without_provenance
 
     text = path.read_bytes().decode("latin-1")
     for name, files in _exports().items():
-        own = of_the_controller(files)
+        own = without_provenance(files)
         for file in own:
             with suppress_rotcal():
                 make_controller(name).read({**own, file: text})
     for name, files in _volumetric().items():
-        own = of_the_controller(files)
+        own = without_provenance(files)
         with suppress_rotcal():
             make_controller(name).read_components({n: text for n in own if n.endswith(".csv")})
 
@@ -131,9 +131,9 @@ def machines() -> Iterable[bytes]:
 
 
 def read_machine(path: Path) -> None:
-    from rotcal_ros.compensation.linuxcnc import hook_up
-    from rotcal_ros.compensation.linuxcnc_machine import Ini, Joint
+    from rotcal_ros.compensation.linuxcnc import find_loaded_tables
+    from rotcal_ros.compensation.linuxcnc_machine import IniFile, Joint
 
     with suppress_rotcal():
-        list(hook_up(path))
-    Joint.of_axis(Ini.read(path), "C", -1)
+        list(find_loaded_tables(path))
+    Joint.of_axis(IniFile.read(path), "C", -1)

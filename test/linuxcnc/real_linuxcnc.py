@@ -11,7 +11,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from rotcal_ros.compensation.linuxcnc_machine import Ini, agent_command
+from rotcal_ros.compensation.linuxcnc_machine import IniFile, agent_command
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 HERE = Path(__file__).parent
@@ -175,7 +175,7 @@ class Axis:
         """Take a table as it is."""
         (self.folder / "own.comp").write_text(text)
         lines = {"COMP_FILE": "own.comp", "COMP_FILE_TYPE": file_type}
-        self.ini.write_text(Ini.read(self.ini).merged("JOINT_3", lines))
+        self.ini.write_text(IniFile.read(self.ini).merged("JOINT_3", lines))
 
     def take(self, made):
         """Take what an export for this machine wrote, the copy of the ini file included."""

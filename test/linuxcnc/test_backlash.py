@@ -7,7 +7,7 @@ import pytest
 from real_linuxcnc import Axis, Running
 
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.linuxcnc_machine import Ini
+from rotcal_ros.compensation.linuxcnc_machine import IniFile
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -21,7 +21,7 @@ AT_DEG = (30.0, 200.0)
 def machine(folder, section="JOINT_3", lines=None):
     axis = Axis(folder, limits=(-360, 720), velocity=360, acceleration=2000)
     wanted = {"BACKLASH": PLAY_DEG, **(lines or {})}
-    axis.ini.write_text(Ini.read(axis.ini).merged(section, wanted))
+    axis.ini.write_text(IniFile.read(axis.ini).merged(section, wanted))
     return axis
 
 

@@ -7,7 +7,7 @@ import pytest
 from real_linuxcnc import HERE
 
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.feed import ask_busy
+from rotcal_ros.compensation.feed import ask_machine_activity
 from rotcal_ros.compensation.linuxcnc_machine import AGENT
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
@@ -37,5 +37,5 @@ def test_the_agent_tells_whether_the_machine_moves_or_a_program_runs(axis):
 @pytest.mark.linuxcnc
 def test_a_linuxcnc_that_does_not_run_is_not_at_work(axis):
     controller = make_controller("linuxcnc", {"machine_ini": str(axis.ini)})
-    assert ask_busy(controller.busy_command, 30.0) is None
+    assert ask_machine_activity(controller.busy_command, 30.0) is None
     assert make_controller("linuxcnc").busy_command == ()

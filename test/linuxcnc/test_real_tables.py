@@ -133,7 +133,7 @@ def test_our_reader_refuses_what_the_real_one_swallows(axis, damage, complaint):
     (text,) = (t for n, t in files.items() if n.endswith(".comp"))
     with pytest.raises(linuxcnc.BagError):
         linuxcnc.LinuxCnc().read(files)
-    loaded = linuxcnc.load(text, 1)
+    loaded = linuxcnc.load_as_linuxcnc(text, 1)
     take(axis, files)
     with Running(axis) as running:
         for angle in (33.0, 145.0):

@@ -78,7 +78,7 @@ def test_a_half_that_is_far_off_together_is_inside_u_whatever_noise_prefers():
 
 @pytest.mark.parametrize("column", ["position", "cmm"])
 def test_small_ones_are_seldom_ok_and_wrong(column):
-    """The figure for 100 worlds of each size is in docs/evidence_methods.md."""
+    """The figure for 100 worlds of each size is in docs/evidence.md."""
     missed = 0
     for seed in range(12 if LONG else 3):
         problem, truth = world(seed, (18, 22), 5e-7, column=column)

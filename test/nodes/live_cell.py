@@ -15,7 +15,7 @@ import warm
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from rotcal_ros.foundation.machine_load import WaitBudget, describe, load_scaled_timeout
+from rotcal_ros.foundation.machine_load import WaitBudget, describe_load, load_scaled_timeout
 from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
 from rotcal_ros.foundation.plugins import NODES as NODES_BESIDE
 from rotcal_ros.foundation.plugins import names, node_module
@@ -161,7 +161,7 @@ class Client:
                 f"the client ended without {kinds}: {outcome}; ended before: "
                 f"{self._processes.ended()}"
             )
-        pytest.fail(f"no {kinds} within {DEADLINE_S} s of an idle machine; {describe()}")
+        pytest.fail(f"no {kinds} within {DEADLINE_S} s of an idle machine; {describe_load()}")
 
     def wait_for_step(self, step):
         return self.wait_for("feedback", where=lambda event: event["accepted"] >= step)
@@ -192,7 +192,7 @@ def wait_until(condition, what):
     patience = WaitBudget(DEADLINE_S)
     while not condition():
         if patience.is_over():
-            pytest.fail(f"not within {DEADLINE_S} s of an idle machine: {what}; {describe()}")
+            pytest.fail(f"not within {DEADLINE_S} s of an idle machine: {what}; {describe_load()}")
         time.sleep(LOOK_S)
 
 

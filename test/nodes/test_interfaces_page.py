@@ -1,5 +1,6 @@
-"""docs/interfaces.md names every interface; the parameters stand in docs/settings.md."""
+"""docs/interfaces.md names every interface; their fields stand in docs/messages.md."""
 
+import runpy
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,17 @@ def test_every_interface_and_error_code_stands_there():
         if line.startswith("uint16 ") and "=" in line:
             name, code = line.split()[1].split("=")
             assert f"| {code} `{name}` |" in PAGE
+
+
+def test_the_page_of_messages_has_every_definition_whole():
+    page = runpy.run_path(str(ROOT / "scripts" / "messages_page.py"))["page"]()
+    definitions = [
+        p for kind in ("msg", "srv", "action") for p in (ROOT / "msg_defs").glob(f"*/*.{kind}")
+    ]
+    assert len(definitions) > 25
+    for path in definitions:
+        assert f"### {path.stem}\n" in page
+        assert path.read_text("utf-8").strip() in page
 
 
 @pytest.mark.parametrize(

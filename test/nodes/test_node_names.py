@@ -20,7 +20,7 @@ from rotcal_ros.foundation.node_names import (
     PREFLIGHT_NODES,
     VIEWERS,
 )
-from rotcal_ros.foundation.plugins import further_nodes, node_module
+from rotcal_ros.foundation.plugins import node_module, nodes_of_groups
 from rotcal_ros.methods.configuration import GROUPS
 from rotcal_ros.sessions import running
 
@@ -85,13 +85,13 @@ def test_the_package_installs_a_command_for_every_node(monkeypatch):
 
 def test_sessions_and_preflight_use_the_same_lists():
     assert running.NODES is NODES
-    assert running.further_nodes is further_nodes
+    assert running.nodes_of_groups is nodes_of_groups
     assert running.VIEWERS is VIEWERS
 
 
 def test_each_group_starts_its_node():
-    assert further_nodes({"simulation", "bridge"}) == ["bridge", "simulated_cell"]
-    assert further_nodes({"instrument", "cell"}) == ["instrument_driver"]
+    assert nodes_of_groups({"simulation", "bridge"}) == ["bridge", "simulated_cell"]
+    assert nodes_of_groups({"instrument", "cell"}) == ["instrument_driver"]
 
 
 def test_the_names_are_known_without_numpy():

@@ -8,7 +8,7 @@ from bag_samples import START_NS, STORE, encode, open_writer, serialised
 
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.in_force import agreed, check_in_force, contradiction
+from rotcal_ros.foundation.in_force import agreed_state, check_in_force, describe_contradiction
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.planning.settings import CellSettings
 from rotcal_ros.recordings.replay import read_recording
@@ -32,9 +32,9 @@ ONE, OTHER = "a" * 64, "b" * 64
     ],
 )
 def test_only_what_all_agree_on_is_known(states, expected):
-    assert agreed(states) == expected
+    assert agreed_state(states) == expected
     several = len(set(states) - {"unknown", ""}) > 1
-    assert bool(contradiction(states)) == (several or set(states) == {"none", "unknown"})
+    assert bool(describe_contradiction(states)) == (several or set(states) == {"none", "unknown"})
 
 
 def test_a_bag_without_this_knowledge_reads_as_unknown_and_keeps_its_bits():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.foundation.language import language, phrase, speaking
+from rotcal_ros.foundation.language import language, phrase, use_language
 from rotcal_ros.foundation.plugins import METHODS, provider
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.recordings.result_sources import read_source
@@ -51,7 +51,7 @@ class Texts(HTMLParser):
 
 def german(result):
     title = find_method(result.method).title
-    with speaking("de"):
+    with use_language("de"):
         return render_report(ReportInput(result, title))
 
 

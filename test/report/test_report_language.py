@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import pytest
 from certified_samples import CIRCUMSTANCES, report, result
 
-from rotcal_ros.foundation.language import language, speaking
+from rotcal_ros.foundation.language import language, use_language
 from rotcal_ros.report.page import render_report
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -34,7 +34,7 @@ class Frame(HTMLParser):
 
 
 def german():
-    with speaking("de"):
+    with use_language("de"):
         return render_report(report(title=TITLE))
 
 
@@ -70,6 +70,6 @@ def test_what_a_person_wrote_is_not_translated():
     from dataclasses import replace
 
     named = replace(CIRCUMSTANCES.identity, operator="Operator")
-    with speaking("de"):
+    with use_language("de"):
         page = render_report(report(result(circumstances=replace(CIRCUMSTANCES, identity=named))))
     assert "<dt>Bearbeiter</dt><dd>Operator</dd>" in page

@@ -18,12 +18,12 @@ from rotcal_ros.compensation.controller_files import (
     UnrolledTable,
     columns_deg,
     even_interval_deg,
-    every_turn,
     fixed,
     integer,
     mean_deg,
-    number,
     only_file,
+    parse_number,
+    repeat_for_turns,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import BagError
@@ -91,7 +91,7 @@ class Acs(EveryTurnController):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the program; ConfigurationError for an arc or uneven rows."""
         spacing = even_interval_deg(table, "ACS", 10.0**-PLACES)
-        angles, added = every_turn(
+        angles, added = repeat_for_turns(
             self.first_turn, self.turns, columns_deg(table)[0], mean_deg(table)
         )
         array, place = f"{table.axis}_CORRECTION", f"{self.axis_number}, {self.zone}"
@@ -122,8 +122,8 @@ class Acs(EveryTurnController):
             raise BagError(
                 f"{name}: {len(rows)} values of {match[2]:.9}, expected all, in their order"
             )
-        values = np.array([number(row[1], name) for row in rows], dtype=np.float64)
-        even = (number(match[6], f"{name}, base"), number(match[7], f"{name}, step"))
+        values = np.array([parse_number(row[1], name) for row in rows], dtype=np.float64)
+        even = (parse_number(match[6], f"{name}, base"), parse_number(match[7], f"{name}, step"))
         return UnrolledTable.evenly(name, even, (values, values), self.travel, DEGREE)
 
     def resolution(self, table: CompensationTable) -> float:

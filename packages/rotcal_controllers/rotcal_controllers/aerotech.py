@@ -19,12 +19,12 @@ from rotcal_ros.compensation.controller_files import (
     UnrolledTable,
     columns_deg,
     even_interval_deg,
-    every_turn,
     fixed,
     integer,
     mean_deg,
-    number,
     only_file,
+    parse_number,
+    repeat_for_turns,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
@@ -98,7 +98,7 @@ class Aerotech(EveryTurnController):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the file; ConfigurationError for an arc or uneven rows."""
         spacing = even_interval_deg(table, "Aerotech", 10.0**-PLACES)
-        _, added = every_turn(0, self.turns, columns_deg(table)[0], mean_deg(table))
+        _, added = repeat_for_turns(0, self.turns, columns_deg(table)[0], mean_deg(table))
         cells = [fixed(value, DECIMALS) for value in added * DEGREE / ARCSEC]
         lines = [
             f":START {self.axis_number} SAMPLEDIST={fixed(spacing, PLACES)} POSUNIT=PRIMARY "
@@ -118,8 +118,10 @@ class Aerotech(EveryTurnController):
                 f"{name}: expected one block :START {self.axis_number} SAMPLEDIST=... "
                 "POSUNIT=PRIMARY CORUNIT=PRIMARY/3600, values, :END"
             )
-        values = np.array([number(cell, name) for cell in match[3].split()], dtype=np.float64)
-        even = (0.0, number(match[2], f"{name}, SAMPLEDIST"))
+        values = np.array(
+            [parse_number(cell, name) for cell in match[3].split()], dtype=np.float64
+        )
+        even = (0.0, parse_number(match[2], f"{name}, SAMPLEDIST"))
         return UnrolledTable.evenly(name, even, (values, values), self.travel, ARCSEC)
 
     def resolution(self, table: CompensationTable) -> float:

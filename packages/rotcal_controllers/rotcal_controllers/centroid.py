@@ -19,12 +19,12 @@ from rotcal_ros.compensation.controller_files import (
     UnrolledTable,
     columns_deg,
     even_interval_deg,
-    every_turn,
     fixed,
     integer,
-    number,
-    numbers,
     only_file,
+    parse_number,
+    parse_numbers,
+    repeat_for_turns,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import BagError
@@ -84,7 +84,7 @@ class Centroid(EveryTurnController):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the file; ConfigurationError for an arc or uneven rows."""
         spacing = even_interval_deg(table, "Centroid", 10.0**-PLACES)
-        rows = every_turn(self.first_turn, self.turns, *columns_deg(table))
+        rows = repeat_for_turns(self.first_turn, self.turns, *columns_deg(table))
         head = [
             TITLE,
             f"AXIS {table.axis}",
@@ -107,8 +107,8 @@ class Centroid(EveryTurnController):
             raise BagError(
                 f"{name}: expected {TITLE}, AXIS, UNITS {self.units}, INTERVAL, ENTRIES, and rows"
             )
-        at, up, down = numbers(name, match[5].splitlines(), 3, "\t").T
-        spacing, count = number(match[3], f"{name}, INTERVAL"), integer(match[4], name)
+        at, up, down = parse_numbers(name, match[5].splitlines(), 3, "\t").T
+        spacing, count = parse_number(match[3], f"{name}, INTERVAL"), integer(match[4], name)
         even = at[0] + spacing * np.arange(len(at))
         if count != len(at) or np.max(np.abs(at - even)) > 10.0**-PLACES:
             raise BagError(

@@ -18,7 +18,7 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Comment, Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import even_interval_deg, integer, only_file
-from rotcal_ros.compensation.table import CompensationTable, Correction, averaged
+from rotcal_ros.compensation.table import CompensationTable, Correction, average_directions
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
@@ -129,7 +129,7 @@ class EncoderLut(Controller):
                 f"encoder_lut: {len(table.angles)} rows, and the firmware has {self.points} "
                 f"values per turn: choose a spacing of {360.0 / self.points:.9g} deg, or points"
             )
-        mean = averaged(table)
+        mean = average_directions(table)
         zeros = np.zeros(len(table.angles))
         resting = replace(mean, correction_forward=zeros, correction_reverse=zeros)
         values = self._values(mean)

@@ -18,9 +18,9 @@ from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
     columns_deg,
     fixed,
-    matches,
-    number,
+    match_lines,
     only_file,
+    parse_number,
     require_at_most,
     require_circle,
 )
@@ -93,8 +93,8 @@ class Fagor(Controller):
         name, text = only_file(files, ".txt")
         line = r"P\d+ (\w+) (\S+) E\1 (\S+) E\1 (\S+)"
         rows = [
-            [number(match.group(k), where) for k in (2, 3, 4)]
-            for where, match in matches(name, text, line, "P001 C 0 EC 0 EC 0")
+            [parse_number(match.group(k), where) for k in (2, 3, 4)]
+            for where, match in match_lines(name, text, line, "P001 C 0 EC 0 EC 0")
         ]
         angles, up, down = np.array(rows, dtype=np.float64).reshape(-1, 3).T
         return PeriodicTable(name, angles, up, down if np.any(down) else up, -DEGREE)

@@ -25,10 +25,10 @@ from rotcal_ros.compensation.controller_files import (
     even_interval_deg,
     fixed,
     integer,
-    matches,
+    match_lines,
     mean_deg,
-    number,
     only_file,
+    parse_number,
     require_at_most,
     require_zero_at_start,
 )
@@ -238,7 +238,7 @@ class Fanuc(Controller):
         """Read parameters and slots back; BagError unless they obey the rule for rotary axes."""
         name, text = only_file(files, ".txt")
         line = r"N(\d{5})(?:A\d+)?P(-?[\d.]+);|%"
-        found = matches(name, text, line, "N10061P-3;")
+        found = match_lines(name, text, line, "N10061P-3;")
         values = {int(match[1]): match[2] for _, match in found if match[1]}
         missing = [k for k in (3620, 3621, 3622, 3623, 3624, 3625) if k not in values]
         if missing:
@@ -246,7 +246,7 @@ class Fanuc(Controller):
         reference, low, high, magnification = (
             integer(values[k], f"{name}, parameter {k}") for k in (3620, 3621, 3622, 3623)
         )
-        turn, interval = (number(values[k], f"{name}, parameter {k}") for k in (3625, 3624))
+        turn, interval = (parse_number(values[k], f"{name}, parameter {k}") for k in (3625, 3624))
         n = high - reference
         if low != reference or n < 2 or turn != 360.0 or abs(n * interval - turn) > 1e-3:
             raise BagError(

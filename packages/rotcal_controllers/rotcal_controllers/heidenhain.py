@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.axis_location import millimetres
+from rotcal_ros.compensation.axis_location import rounded_lengths
 from rotcal_ros.compensation.controller import Controller, Facts, Located, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
@@ -103,7 +103,7 @@ class Heidenhain(Controller):
         """Return rows of a kinematics description, which go to the table's axis at last."""
         rows, at, values = list[str](), np.zeros(3), dict[str, float]()
         for line in reversed(lines):
-            for axis, x in zip("XYZ", millimetres(line.point - at), strict=True):
+            for axis, x in zip("XYZ", rounded_lengths(line.point - at), strict=True):
                 rows.append(f"Trans     {axis} {x:+.4f}")
                 values[f"{axis} before {line.letter}"] = float(x)
             rows.append(f"MachAxis  {line.letter}")

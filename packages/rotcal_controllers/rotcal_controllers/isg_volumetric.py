@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import ComponentErrors, Volumetric
-from rotcal_ros.compensation.controller_files import fixed, numbers, only_file
+from rotcal_ros.compensation.controller_files import fixed, only_file, parse_numbers
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS
 from rotcal_ros.foundation.errors import BagError
@@ -72,7 +72,7 @@ def parameters(name: str, text: str) -> dict[str, Floats]:
     names = head.split()
     if len(names) < 2 or any(line.startswith("#") for line in lines):
         raise BagError(f"{name}: expected one block, an argument and parameters in its header")
-    data = numbers(name, records, len(names), None)
+    data = parse_numbers(name, records, len(names), None)
     return dict(zip(names, data.T, strict=True))
 
 

@@ -19,13 +19,13 @@ from rotcal_ros.compensation.controller_files import (
     UnrolledTable,
     columns_deg,
     even_interval_deg,
-    every_turn,
     fixed,
     integer,
     mean_deg,
-    number,
-    numbers,
     only_file,
+    parse_number,
+    parse_numbers,
+    repeat_for_turns,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import BagError
@@ -71,7 +71,7 @@ class Kflop(EveryTurnController):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table; ConfigurationError for an arc or uneven rows."""
         spacing = even_interval_deg(table, "KFLOP", 10.0**-PLACES)
-        angles, added = every_turn(
+        angles, added = repeat_for_turns(
             self.first_turn, self.turns, columns_deg(table)[0], mean_deg(table)
         )
         head = [str(len(angles)), fixed(spacing, PLACES), fixed(360.0 * self.first_turn, PLACES)]
@@ -85,8 +85,8 @@ class Kflop(EveryTurnController):
         if len(head) < 3 or len(lines) < 3:
             raise BagError(f"{name}: expected number, distance and begin, and at least 3 points")
         count = integer(head[0], f"{name}, line 1")
-        spacing, begin = (number(head[k], f"{name}, line {k + 1}") for k in (1, 2))
-        index, commanded = numbers(name, lines, 2, ",").T
+        spacing, begin = (parse_number(head[k], f"{name}, line {k + 1}") for k in (1, 2))
+        index, commanded = parse_numbers(name, lines, 2, ",").T
         if count != len(lines) or not np.array_equal(index, np.arange(count)):
             raise BagError(f"{name}: {len(lines)} points, expected {count}: 0, 1, .. {count - 1}")
         added = commanded - (begin + spacing * index)

@@ -19,13 +19,13 @@ from rotcal_ros.compensation.controller_files import (
     UnrolledTable,
     columns_deg,
     even_interval_deg,
-    every_turn,
     fixed,
     integer,
     mean_deg,
-    number,
-    numbers,
     only_file,
+    parse_number,
+    parse_numbers,
+    repeat_for_turns,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import BagError
@@ -98,7 +98,7 @@ class Mach4(EveryTurnController):
         even_interval_deg(table, "Mach4", 10.0**-DECIMALS)
         angles, *both = columns_deg(table)
         both = [mean_deg(table)] * 2 if self.one_direction else both
-        rows = every_turn(self.first_turn, self.turns, angles, *both)
+        rows = repeat_for_turns(self.first_turn, self.turns, angles, *both)
         head = [
             f"Start Point {fixed(rows[0][0], DECIMALS)}",
             f"Length {fixed(rows[0][-1] - rows[0][0], DECIMALS)}",
@@ -114,9 +114,9 @@ class Mach4(EveryTurnController):
         match = HEAD.fullmatch(text)
         if match is None:
             raise BagError(f"{name}: expected Start Point, Length, Number of Points, and the rows")
-        start, length = (number(match[k], name) for k in (1, 2))
+        start, length = (parse_number(match[k], name) for k in (1, 2))
         count = integer(match[3], name)
-        at, up, down = numbers(name, match[4].splitlines(), 3, None).T
+        at, up, down = parse_numbers(name, match[4].splitlines(), 3, None).T
         if count != len(at) or count < 2:
             raise BagError(f"{name}: {len(at)} rows, and Number of Points is {count}")
         spacing = length / (count - 1)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.untrusted import read_bytes, reading
+from rotcal_ros.foundation.untrusted import read_bytes, read_errors_as
 
 _MACHINE_DATUM: Final = re.compile(
     r'^[ \t]*(?:N\d+[ \t]+)?\$(\w+)[ \t]*(?:\[([^\]\n]*)\])?[ \t]*=[ \t]*"?([^"\s;]+)',
@@ -28,7 +28,7 @@ _VALUE: Final = re.compile(r"(?:A(\d+))?P([-+]?\d+(?:\.\d*)?)")
 
 def machine_text(path: str) -> str:
     """Return the text of a machine's file; ConfigurationError when it cannot be read."""
-    with reading(Path(path), ConfigurationError, "the machine's file "):
+    with read_errors_as(Path(path), ConfigurationError, "the machine's file "):
         return read_bytes(Path(path)).decode("latin-1")
 
 

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_controllers.machine_files import MachineData, require_as_measured
-from rotcal_ros.compensation.axis_location import millimetres
+from rotcal_ros.compensation.axis_location import rounded_lengths
 from rotcal_ros.compensation.controller import Comment, Controller, Facts, Located, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
@@ -27,8 +27,8 @@ from rotcal_ros.compensation.controller_files import (
     fixed,
     integer,
     mean_deg,
-    number,
     only_file,
+    parse_number,
     require_at_most,
 )
 from rotcal_ros.compensation.table import CompensationTable
@@ -230,12 +230,12 @@ class Sinumerik(Controller):
                 f"the result does not say which way {' and '.join(unknown)} turns, so that the "
                 "sign of its vector is open: solve the measurement again, with plan.chain stated"
             )
-        vectors = {"MD24500 $MC_TRAFO5_PART_OFFSET_1": millimetres(-table.point)}
+        vectors = {"MD24500 $MC_TRAFO5_PART_OFFSET_1": rounded_lengths(-table.point)}
         if tilting:
             first = tilting[0].point
             vectors |= {
-                "MD24550 $MC_TRAFO5_BASE_TOOL_1": millimetres(first),
-                "MD24558 $MC_TRAFO5_JOINT_OFFSET_PART_1": millimetres(table.point - first),
+                "MD24550 $MC_TRAFO5_BASE_TOOL_1": rounded_lengths(first),
+                "MD24558 $MC_TRAFO5_JOINT_OFFSET_PART_1": rounded_lengths(table.point - first),
                 "MD24570 $MC_TRAFO5_AXIS1_1": np.round(
                     tilting[0].sense * tilting[0].direction, AXIS_DECIMALS
                 ),
@@ -336,7 +336,7 @@ def _rows(
     }
     single = {k[0].removeprefix(variable): v for k, v in values.items() if k[1] == first}
     step, low, high = (
-        number(single.get(name, "nothing"), f"${variable}{name}")
+        parse_number(single.get(name, "nothing"), f"${variable}{name}")
         for name in ("_STEP", "_MIN", "_MAX")
     )
     count = len(points)
@@ -350,5 +350,5 @@ def _rows(
         raise BagError(
             f"${variable} does not close: IS_MODULO is {single.get('_IS_MODULO')}, expected 1"
         )
-    column = np.array([number(points[k], f"${variable} point {k}") for k in range(count)])
+    column = np.array([parse_number(points[k], f"${variable} point {k}") for k in range(count)])
     return np.linspace(low, high, count), column

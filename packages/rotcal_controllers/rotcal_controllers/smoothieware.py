@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from rotcal_ros.compensation.controller import EveryTurnController, Facts
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
-    every_turn,
     fixed,
-    matches,
+    match_lines,
     mean_deg,
-    number,
     only_file,
+    parse_number,
+    repeat_for_turns,
     require_circle,
     require_zero_at_start,
 )
@@ -111,7 +111,7 @@ class Smoothieware(EveryTurnController):
                 "leave out 0 deg, from where the control counts: choose first_turn and turns so "
                 "that it is included"
             )
-        angles, added = every_turn(
+        angles, added = repeat_for_turns(
             self.first_turn, self.turns, columns_deg(table)[0], mean_deg(table)
         )
         lines = [
@@ -124,8 +124,8 @@ class Smoothieware(EveryTurnController):
         """Read the points of the axis back; BagError for one that the control would skip."""
         name, text = only_file(files, ".dat")
         cells = []
-        for where, match in matches(name, text, r"([XYZ]) (\S+) (\S+)", "X 10.5 1.00034"):
-            values = [number(match[k], where) for k in (2, 3)]
+        for where, match in match_lines(name, text, r"([XYZ]) (\S+) (\S+)", "X 10.5 1.00034"):
+            values = [parse_number(match[k], where) for k in (2, 3)]
             if not SMALLEST <= values[1] <= LARGEST:
                 raise BagError(
                     f"{where}: the multiplier {match[3]} is not in {SMALLEST} .. {LARGEST}, the "

@@ -30,7 +30,7 @@ from rotcal_ros.compensation.controller_files import (
     columns_deg,
     even_interval_deg,
     integer,
-    matches,
+    match_lines,
     only_file,
     require_at_most,
 )
@@ -187,7 +187,7 @@ class TwinCat(Controller):
         """Read a compensation list; BagError unless it is one turn in units of 0.0001 deg."""
         name, text = only_file(files, ".lis")
         line = r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)|kopf\.(achs_nr\s+\d+|log_achs_name\s+\S+)|#.*"
-        found = matches(name, text, line, "kw.ssfk.unit 1")
+        found = match_lines(name, text, line, "kw.ssfk.unit 1")
         values = {match[1]: integer(match[2], where) for where, match in found if match[1]}
         n = values.get("kw_nr_max", 0)
         covered = values.get("interval", 0) * max(n - 1, 0)

@@ -22,8 +22,8 @@ from rotcal_ros.compensation.controller_files import (
     fixed,
     integer,
     mean_deg,
-    number,
     only_file,
+    parse_number,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
@@ -168,9 +168,11 @@ def _declaration(name: str, way: str, angles: Floats, values: Floats) -> list[st
 
 def _rows(where: str, match: re.Match[str]) -> tuple[Floats, Floats]:
     """Return positions and compensations (deg) of one table, which is a whole turn."""
-    low, high = number(match[2], where), number(match[3], where)
+    low, high = parse_number(match[2], where), parse_number(match[3], where)
     count, last = integer(match[4], where), integer(match[7], where)
-    cells = [[number(cell, where) for cell in pair] for pair in re.findall(ELEMENT, match[8])]
+    cells = [
+        [parse_number(cell, where) for cell in pair] for pair in re.findall(ELEMENT, match[8])
+    ]
     rows, values = np.array(cells, dtype=np.float64).T
     n = len(rows)
     if (low, high, count, last, match[6]) != (0.0, 360.0, n, n - 1, "TRUE") or n < 3:

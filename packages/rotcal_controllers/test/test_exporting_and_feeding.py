@@ -13,7 +13,7 @@ from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.held_table import in_force_of
+from rotcal_ros.compensation.held_table import hash_in_force
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.units import ARCSEC
@@ -51,7 +51,7 @@ def test_files_copied_by_hand_are_seen_whatever_the_settings(tmp_path):
         controller="sinumerik", spacing_deg=7.0, controller_folder=str(tmp_path)
     )
     held = Feed(settings, "C", lambda: 1).in_force()
-    assert held == in_force_of({"c_sinumerik.ini": "M17\n"})
+    assert held == hash_in_force({"c_sinumerik.ini": "M17\n"})
 
 
 @pytest.mark.parametrize("name", ["heidenhain", "fagor"])

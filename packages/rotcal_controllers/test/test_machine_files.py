@@ -9,7 +9,7 @@ from compensation_examples import d4_table, two_ways
 from controls_beside_the_core import twincat
 
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.writing import of_the_controller
+from rotcal_ros.compensation.writing import without_provenance
 from rotcal_ros.foundation.errors import ConfigurationError
 
 NOW = datetime(2026, 1, 2, tzinfo=timezone.utc)
@@ -53,7 +53,7 @@ def test_a_backlash_of_a_sinumerik_is_read_of_the_axis_and_its_measuring_system(
     assert "MD32450 BACKLASH[0] of AX5 = 0.002 deg acts beside the table" in acts
     second = exported("sinumerik", ARCHIVE, tmp_path, measuring_system=1, **C1)
     assert not any("MD32450" in text for text in second.warnings)
-    assert of_the_controller(done.files) == of_the_controller(
+    assert without_provenance(done.files) == without_provenance(
         exported("sinumerik", ARCHIVE, tmp_path, backlash_deg=0.002, **C1).files
     )
     with pytest.raises(ConfigurationError, match=r"0\.002 deg in the machine's file and was 0 "):
@@ -132,12 +132,12 @@ lr_param. n_backlash_cyc  10    #Number of filter cycles
 
 def test_a_backlash_of_twincat_is_read_and_in_a_list_of_both_directions(tmp_path):
     done = exported("twincat", LIST, tmp_path)
-    rule, at = twincat(of_the_controller(done.files)), np.arange(0.0, 360.0, 15.0)
+    rule, at = twincat(without_provenance(done.files)), np.arange(0.0, 360.0, 15.0)
     assert rule(at, True) - rule(at, False) == pytest.approx(0.1, abs=1e-9)  # 1000 x 0.0001 deg
     off = exported("twincat", LIST.replace("losekomp  1", "losekomp  0"), tmp_path)
-    assert "neg" not in of_the_controller(off.files)["c_twincat.lis"].split("table[0]")[1][:40]
+    assert "neg" not in without_provenance(off.files)["c_twincat.lis"].split("table[0]")[1][:40]
     stated = exported("twincat", LIST, tmp_path, backlash_deg=0.0)
-    assert of_the_controller(stated.files) == of_the_controller(off.files)
+    assert without_provenance(stated.files) == without_provenance(off.files)
     with pytest.raises(ConfigurationError, match="is negative"):
         exported("twincat", LIST.replace("1000", "-1000"), tmp_path)
     with pytest.raises(ConfigurationError, match="expected lines"):

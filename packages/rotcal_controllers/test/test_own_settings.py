@@ -11,7 +11,7 @@ from controls_beside_the_core import OURS, pmac, twincat
 
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.writing import of_the_controller
+from rotcal_ros.compensation.writing import without_provenance
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -37,7 +37,7 @@ def test_every_export_names_them_and_ends_with_what_switches_the_table_on(name):
     assert [own["name"] for own in side["own_settings"]] == [
         own.name for own in controller.own_settings
     ]
-    own_file = "".join(of_the_controller(done.files).values())
+    own_file = "".join(without_provenance(done.files).values())
     if controller.comment:
         assert all(line in own_file for line in (*beside[-len(controller.own_settings) :], last))
 
@@ -65,7 +65,7 @@ def test_a_backlash_that_the_file_of_a_pmac_overwrites_is_in_its_table(tmp_path)
     assert read.files["c_pmac.pmc"] == stated.files["c_pmac.pmc"]
     assert f"I186={PLAY}\n" in read.files["c_pmac.pmc"]
     at = np.arange(0.0, 360.0, 15.0)
-    rule = pmac(of_the_controller(read.files))
+    rule = pmac(without_provenance(read.files))
     assert rule(at, True) - rule(at, False) == pytest.approx(18.0 / 3600.0, abs=1e-5)
     (said,) = (text for text in read.warnings if "I186" in text)
     assert f"I186 = {PLAY}" in said
@@ -82,9 +82,9 @@ def test_a_backlash_that_the_file_of_a_pmac_overwrites_is_in_its_table(tmp_path)
 
 
 def test_a_backlash_beside_a_list_of_both_directions_of_twincat_is_in_the_list():
-    plain = twincat(of_the_controller(exported(both_equal(), "twincat").files))
+    plain = twincat(without_provenance(exported(both_equal(), "twincat").files))
     done = exported(both_equal(), "twincat", backlash_deg=0.01)
-    rule, at = twincat(of_the_controller(done.files)), np.arange(0.0, 360.0, 15.0)
+    rule, at = twincat(without_provenance(done.files)), np.arange(0.0, 360.0, 15.0)
     assert rule(at, True) - rule(at, False) == pytest.approx(0.01, abs=1e-9)
     np.testing.assert_array_equal(rule(at, True), plain(at, True))
     (said,) = (text for text in done.warnings if "P-AXIS-00103" in text)

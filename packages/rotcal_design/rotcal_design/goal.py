@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rotcal_design.settings import PER_STATION, SHARED, TracerDesignSettings
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.foundation.untrusted import load_yaml, read_text, reading
+from rotcal_ros.foundation.untrusted import load_yaml, read_errors_as, read_text
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.configuration import Configuration
@@ -35,7 +35,7 @@ def goal_settings(
 
 def _of_file(goal: Path) -> dict[str, Any]:
     """Return the settings by name that the file of a goal holds."""
-    with reading(goal, ConfigurationError, "the goal "):
+    with read_errors_as(goal, ConfigurationError, "the goal "):
         values = load_yaml(read_text(goal), str(goal))
     if not isinstance(values, dict | None):
         raise ConfigurationError(f"{goal}: expected lines of NAME: VALUE, found {values!r:.60}")

@@ -26,7 +26,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.configuration import read_configuration
 
 ROOT = Path(__file__).parents[3]
-PAGE = (ROOT / "docs" / "evidence_methods.md").read_text()
+PAGE = (ROOT / "docs" / "evidence.md").read_text()
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 
 

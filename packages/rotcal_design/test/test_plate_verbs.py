@@ -118,7 +118,7 @@ def test_each_order_is_told_what_drift_and_knocks_would_do():
 def test_the_page_has_what_half_a_kelvin_does_in_each_order(steps):
     balls = str(len(steps.split(",")))
     found = plan("plate", "--grid", "72", "--balls", balls, "--subset-of", steps)
-    page = (Path(__file__).parents[3] / "docs" / "evidence_methods.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "evidence.md").read_text()
     for order, told in found["orders"].items():
         (row,) = re.findall(rf"^\| {balls} \| `{order}` \| (.*) \|$", page, re.MULTILINE)
         growth = told["growth"]

@@ -34,7 +34,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalEr
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result, Zeros
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.foundation.untrusted import read_bytes, reading
+from rotcal_ros.foundation.untrusted import read_bytes, read_errors_as
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.comparison import curves_and_errors
 
@@ -69,7 +69,7 @@ def add_sources(
 
 
 def _content(path: Path) -> bytes:
-    with reading(path, DataError):
+    with read_errors_as(path, DataError):
         return read_bytes(path)
 
 

@@ -28,7 +28,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.language import Phrase, codes_of, listed, phrase, with_codes
+from rotcal_ros.foundation.language import Phrase, codes_of, join_texts, phrase, with_codes
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -244,7 +244,7 @@ def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> O
         words = phrase("{0} on {1}, after the newest result: measure again", event.what, event.day)
         findings.insert(0, TableFinding("event", event.measured_ns, words))
     due_ns, reason = _due(newest, each, findings, settings)
-    reason = listed([reason, *(found.words for found in findings if found.kind == "wear")])
+    reason = join_texts([reason, *(found.words for found in findings if found.kind == "wear")])
     return Outlook(
         serial=item.serial, axis=item.axis, results=len(campaigns),
         last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=line,

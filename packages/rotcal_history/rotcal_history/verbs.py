@@ -47,10 +47,10 @@ OF_ENTRY: Final = {
 
 
 def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> HistorySettings:
-    from rotcal_ros.foundation.settings import of_changes
+    from rotcal_ros.foundation.settings import settings_from_changes
     from rotcal_ros.foundation.untrusted import load_yaml
 
-    return of_changes(HistorySettings, "history", given, load_yaml)
+    return settings_from_changes(HistorySettings, "history", given, load_yaml)
 
 
 serial_option: Final = click.option(
@@ -359,10 +359,10 @@ def import_verb(folder: Path, settings: HistorySettings) -> int:
 def page(output: Path, language: str, settings: HistorySettings) -> int:
     """Write the page of the park: a row for each table, and a page behind it."""
     from rotcal_history.page import write_park
-    from rotcal_ros.foundation.language import speaking
+    from rotcal_ros.foundation.language import use_language
 
     outlooks = _park(settings)
-    with _open(settings) as history, speaking(language):
+    with _open(settings) as history, use_language(language):
         say(f"page: {write_park(history, outlooks, output, today()).absolute()}")
     return 0
 

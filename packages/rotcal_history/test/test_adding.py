@@ -9,7 +9,7 @@ from simulated_park import BEGIN_NS, YEAR_NS, result
 from rotcal_history.adding import keep_measurement, keep_session, since_last_time
 from rotcal_history.database import ParkHistory
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import speaking
+from rotcal_ros.foundation.language import use_language
 from rotcal_ros.foundation.session_folder import SessionFolder
 
 CURVE = np.sin(np.arange(24.0))
@@ -42,7 +42,7 @@ def test_a_report_says_what_has_changed_since_last_time(database):
     assert "ECC against 2021-01-01: DISAGREE: rms 2.1" in html
     assert html.count("<svg") == 1
     assert "agree: rms" in since_last_time(some(1.0), database)[0][1]
-    with speaking("de"):
+    with use_language("de"):
         assert "ECC gegen 2021-01-01: " in since_last_time(some(1.0), database)[0][1]
 
 

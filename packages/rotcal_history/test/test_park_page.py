@@ -15,7 +15,7 @@ from rotcal_history.database import ParkHistory
 from rotcal_history.outlook import park
 from rotcal_history.page import write_park
 from rotcal_history.settings import HistorySettings
-from rotcal_ros.foundation.language import speaking
+from rotcal_ros.foundation.language import use_language
 
 sync_api = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.slow
@@ -85,7 +85,7 @@ def test_three_tables_with_their_reasons_and_reports(small, browser):
 
 def test_a_german_reader_finds_no_english(small, browser, tmp_path):
     folder, outlooks = small
-    with ParkHistory(str(folder / "history.db")) as history, speaking("de"):
+    with ParkHistory(str(folder / "history.db")) as history, use_language("de"):
         write_park(history, outlooks, tmp_path, "2026-03-31")
     page = browser.new_page()
     page.goto((tmp_path / "park.html").as_uri())

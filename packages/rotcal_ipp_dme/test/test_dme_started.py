@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal as command
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.plugins import further_nodes
+from rotcal_ros.foundation.plugins import nodes_of_groups
 from rotcal_ros.nodes.adapters.machine_nodes import AS_CONFIGURED, OWN, machine_nodes
 
 CONFIGURATION = Path(__file__).parents[1] / "config" / "ball_plate_dme.yaml"
@@ -35,8 +35,8 @@ def test_a_node_without_its_group_is_refused():
 
 
 def test_a_simulated_machine_behind_dme_is_no_node():
-    assert further_nodes({"simulation", "dme", "cell"}) == ["dme_adapter"]
-    assert further_nodes({"dme", "table_adapter"}) == ["table_adapter", "dme_adapter"]
+    assert nodes_of_groups({"simulation", "dme", "cell"}) == ["dme_adapter"]
+    assert nodes_of_groups({"dme", "table_adapter"}) == ["table_adapter", "dme_adapter"]
 
 
 def test_a_cell_behind_dme_is_refused_before_anything_is_made(tmp_path):

@@ -24,7 +24,7 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import Question, RotcalError, UndecidedError
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
-from rotcal_ros.foundation.language import Phrase, phrase, speaking
+from rotcal_ros.foundation.language import Phrase, phrase, use_language
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.table_columns import UNITS, TableColumn, unit_setting
 from rotcal_ros.foundation.table_reading import Reading, Use
@@ -317,7 +317,7 @@ def shown(result: Result) -> Deviations:
 
 def reported(asked: Asked) -> Reply:
     """Write the report."""
-    with speaking(str(asked.options["language"])):
+    with use_language(str(asked.options["language"])):
         write_measured(asked.read(), asked.folder / REPORT)
     return {"files": [REPORT]}
 

@@ -80,10 +80,14 @@ def test_names_with_the_units_of_si_leave_nothing_open(tmp_path):
 
 def test_a_correction_is_no_deviation_until_a_person_says_of_which_sign(tmp_path):
     head, name = "Angle [deg],Correction [arcsec],u [arcsec]", "Correction [arcsec]"
-    with pytest.raises(UndecidedError, match=r"or commanded - actual.*reversed=Correction"):
+    with pytest.raises(UndecidedError, match=r"may be .* or a correction") as asked:
         read(tmp_path, head)
-    turned = read(tmp_path, head, columns=(f"reversed={name}",)).deviation
-    np.testing.assert_allclose(-turned / ARCSEC, [d for _, d in ROWS], rtol=1e-12)
+    (as_it_is, _), (other, words) = asked.value.question.answers
+    assert "the control will add +" in words
+    truth = [d for _, d in ROWS]
+    for stated in ({"values": other}, {"columns": (f"reversed={name}",)}):
+        np.testing.assert_allclose(-read(tmp_path, head, **stated).deviation / ARCSEC, truth)
+    np.testing.assert_allclose(read(tmp_path, head, values=as_it_is).deviation / ARCSEC, truth)
 
 
 def test_the_factor_is_taken_as_it_is_told(tmp_path):

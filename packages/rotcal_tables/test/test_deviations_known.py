@@ -91,6 +91,16 @@ def test_the_sign_is_asked_with_both_tables_at_one_angle(tmp_path):
     assert other.tolist() == (-one).tolist()
 
 
+@pytest.mark.parametrize("name", ["dev {}", "Deviation {}", "{} error", "x{}", "x {}", "{}"])
+@pytest.mark.parametrize(("up", "down"), [("+", "-"), ("↑", "↓")])
+def test_one_column_for_each_sign_of_the_direction_is_a_run_in_both(tmp_path, name, up, down):
+    head = ",".join(["Target [deg]", *(f"{name.format(w)} [arcsec]" for w in (up, down))])
+    path = table(tmp_path, f"{head}\n0,1,2\n90,3.5,4\n180,-1,0.25\n270,2,7\n")
+    both = solved(path, "solver.u_arcsec=0.5", SAID).directions["ECC"]
+    assert both.forward / ARCSEC == pytest.approx([1.0, 3.5, -1.0, 2.0])
+    assert both.reverse / ARCSEC == pytest.approx([2.0, 4.0, 0.25, 7.0])
+
+
 @pytest.mark.parametrize(("unit", "value"), [("arcsec", "3.2"), ("deg", "8.8889e-4")])
 def test_a_column_named_as_in_our_own_form_has_our_sign_in_any_unit(unit, value, tmp_path):
     text = f"angle_deg,deviation_{unit},u_arcsec\n0,0,1\n90,{value},1\n180,0,1\n"

@@ -128,6 +128,24 @@ def test_the_order_of_rows_may_show_which_direction_it_is(tmp_path, up, down, as
     require_runs(read_any_runs(path, SheetSettings(up="" if as_driven else up)))
 
 
+@pytest.mark.parametrize(
+    "head",
+    ["{j}{w}", "#{j}{w}", "{j} {w}", "dev {j}{w} [arcsec]", "x{j}{w} [arcsec]"],
+)
+@pytest.mark.parametrize(("up", "down"), [("+", "-"), ("↑", "↓")])
+def test_signs_and_arrows_at_the_number_of_a_run_are_its_direction(tmp_path, head, up, down):
+    names = [head.format(j=j, w=w) for j in "123" for w in (up, down)]
+    path = file(tmp_path, below([["Target [deg]", *names]], PLACES, *np.array(BOTH).T))
+    require_runs(read_any_runs(path, SheetSettings(reading_unit="arcsec")))
+
+
+def test_a_symbol_of_something_else_with_both_directions_is_no_deviation(tmp_path):
+    head = ["Target [deg]", *(f"{name}{way} [arcsec]" for name in "sR" for way in "↑↓")]
+    path = file(tmp_path, below([head], PLACES, *UP[:, :2].T, *DOWN[:, :2].T))
+    with pytest.raises(BagError, match="no column deviation_rad"):
+        read_any_runs(path)
+
+
 def test_unknown_words_for_a_direction_are_refused_with_advice_that_works(tmp_path) -> None:
     def table(up: str, down: str) -> Path:
         return file(tmp_path, below(heads("Run 1 CW", up, down), PLACES, *np.array(BOTH).T))

@@ -31,6 +31,20 @@ NO_PAIRS = [("Angle", "Reference"), ("Angle", "Encoder"), ("Set", "Foo")]
 """What the second column is, its name does not say."""
 
 
+@pytest.mark.parametrize(("separator", "mark"), [(",", "."), (";", ","), ("\t", "."), (" ", ".")])
+@pytest.mark.parametrize("title", ["", "# Monday\n", "Calibration\n\n"])
+def test_columns_without_any_name_are_stated_by_their_numbers(tmp_path, separator, mark, title):
+    rows = zip(degrees(ANGLES, 0), seconds(OFF), strict=True)
+    text = "".join(f"{separator.join(row).replace('.', mark)}\n" for row in rows)
+    (path := tmp_path / "t.csv").write_text(title + text)
+    with pytest.raises(BagError, match=r"no row names the columns.*angle=#1.*deviation=#2"):
+        read_deviations(path, 1.0)
+    stated = {"columns": ("angle=#1", "deviation=#2")}
+    with pytest.raises(UndecidedError, match="states no unit"):
+        read_deviations(path, 1.0, SheetSettings(**stated))
+    require_truth(path, **stated, angle_unit="deg", reading_unit="arcsec")
+
+
 def table(path: Path, head: list[str], columns: list[list[str]], separator: str = ",") -> Path:
     rows = [head, *map(list, zip(*columns, strict=True))]
     (path / "t.csv").write_text("".join(separator.join(row) + "\n" for row in rows), "utf-8")
@@ -186,7 +200,7 @@ ASKED = {
     ),
     "either sign": (
         ["Winkel [°]", "Soll-Ist-Abweichung [arcsec]"], [NUMBER, seconds(-OFF)],
-        {"columns": ("reversed=Soll-Ist-Abweichung [arcsec]",)},
+        {"values": "corrections"},
     ),
     "positions": (["Angle [deg]", "Deviation [deg]"], [NUMBER, DEG], {"values": "positions"}),
     "two angles": (
@@ -359,3 +373,17 @@ def test_columns_are_shown_with_their_own_numbers_where_a_heading_is_empty(tmp_p
         read_any_runs(path)
     assert "column 2 'Bar': first 100, largest 103" in asked.value.log
     assert "column 3 'Baz': first 200, largest 203" in asked.value.log
+
+
+def test_a_title_of_several_cells_is_no_head_of_columns_stated_by_number(tmp_path):
+    rows = list(zip(degrees(ANGLES, 0), seconds(OFF), strict=True))
+    (path := tmp_path / "t.csv").write_text(
+        "Operator;Meier\nfoo;bar\n" + "".join(f"{a};{d}\n" for a, d in rows), encoding="utf-8"
+    )
+    stated = {"columns": ("angle=#1", "deviation=#2")}
+    require_truth(path, **stated, angle_unit="deg", reading_unit="arcsec")
+
+
+def test_rows_with_their_name_in_front_are_columns(tmp_path):
+    rows = [["Angle [deg]", *degrees(ANGLES, 0)], ["Deviation [arcsec]", *seconds(OFF)]]
+    require_truth(table(tmp_path, rows[0], [[cell] for cell in rows[1]]))

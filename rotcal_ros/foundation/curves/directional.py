@@ -10,7 +10,12 @@ from scipy.sparse import block_diag, csr_array
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
-from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve, merging, period_of
+from rotcal_ros.foundation.curves.measured import (
+    MeasuredCurve,
+    average_coincident_angles,
+    measured_curve,
+    period_of,
+)
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.results import Directions, Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -112,7 +117,7 @@ def _merged(result: Result, own: Directions) -> DirectionalCurve:
     k, period = len(own.angles), period_of(own.angles)
     for values, part in ((own.forward, slice(k)), (own.reverse, slice(k, None))):
         side = MeasuredCurve(own.angles, values, own.covariance[part, part], period)
-        angles, merge = merging(side, COMPONENT)
+        angles, merge = average_coincident_angles(side, COMPONENT)
     twice = csr_array(block_diag([merge, merge], format="csr"))
     missing = len(result.angles) - k
     note = (

@@ -28,7 +28,7 @@ def curve_through(nodes: Floats, values: Floats, period: float) -> PPoly:
 
     With ``period`` > 0 the nodes lie within one period and the curve closes; then two nodes are
     joined by straight lines. With ``period`` 0 they cover an arc and the spline ends "not-a-knot".
-    It takes angles that :func:`within` returned.
+    It takes angles that :func:`wrap_to_period` returned.
     """
     # scipy.interpolate takes longer to load than most verbs, which do without, take to run.
     from scipy.interpolate import CubicSpline, PPoly
@@ -43,7 +43,7 @@ def curve_through(nodes: Floats, values: Floats, period: float) -> PPoly:
     return PPoly(np.stack([slopes, closed[:-1]]), knots)
 
 
-def within(nodes: Floats, at: ArrayLike, period: float) -> Floats:
+def wrap_to_period(nodes: Floats, at: ArrayLike, period: float) -> Floats:
     """Return the angles ``at`` wrapped into the period that begins at the first node.
 
     Raises DataError for angles outside an arc (``period`` 0): nothing was measured there.
@@ -64,7 +64,7 @@ def within(nodes: Floats, at: ArrayLike, period: float) -> Floats:
 def interpolation_matrix(nodes: Floats, at: Floats, period: float) -> Floats:
     """Return W (m, n) with values(at) = W @ values(nodes), see :func:`curve_through`."""
     curve = curve_through(nodes, np.eye(len(nodes)), period)
-    return np.asarray(curve(within(nodes, np.atleast_1d(at), period)), dtype=np.float64)
+    return np.asarray(curve(wrap_to_period(nodes, np.atleast_1d(at), period)), dtype=np.float64)
 
 
 def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:
@@ -86,7 +86,7 @@ def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:
     return np.asarray(np.concatenate([[first], inner, [last]]), dtype=np.float64)
 
 
-def wrapped(angle: float) -> float:
+def wrap_to_turn(angle: float) -> float:
     """Return ``angle`` within [0, 2 pi); rounding below the full turn counts as zero."""
     within = float(np.mod(angle, TURN))
     return 0.0 if TURN - within < SAME_ANGLE else within
@@ -107,11 +107,11 @@ def without_harmonics(angles: Floats, order: int, free: Floats | None = None) ->
     on an angle whose value is zero by definition. Raises DataError when the ``angles`` leave
     nothing.
     """
-    basis = unknown_basis(angles, order, free)
+    basis = orthonormal_harmonic_basis(angles, order, free)
     return np.asarray(np.eye(len(angles)) - basis @ basis.T, dtype=np.float64)
 
 
-def unknown_basis(angles: Floats, order: int, free: Floats | None = None) -> Floats:
+def orthonormal_harmonic_basis(angles: Floats, order: int, free: Floats | None = None) -> Floats:
     """Return an orthonormal basis (n, u) of offset, harmonics up to ``order`` and ``free`` (n, q).
 
     Raises DataError if they leave nothing of n values.
@@ -143,7 +143,7 @@ def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
             f"choose an order of at most {(len(nodes) - 1) // 2}"
         )
     basis = harmonic_basis(nodes, order)
-    root = regular_root(covariance)
+    root = regularised_cholesky(covariance)
     white = np.linalg.solve(root, basis)
     singular = np.linalg.svd(white / np.linalg.norm(white, axis=0), compute_uv=False)
     if singular[-1] < 1e-8 * singular[0]:
@@ -155,7 +155,7 @@ def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
     return np.asarray(np.linalg.solve(r, np.linalg.solve(root.T, q).T), dtype=np.float64)
 
 
-def regular_root(covariance: Floats) -> Floats:
+def regularised_cholesky(covariance: Floats) -> Floats:
     """Return the lower Cholesky root of ``covariance`` (n, n) plus a common variance.
 
     Use it only for estimates with a free offset, which the common variance does not change. Exact

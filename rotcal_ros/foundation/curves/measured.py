@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import unit_of
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrap_to_turn
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Result
@@ -65,7 +65,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     table position contradict each other (the deviations do not close).
     """
     curve = _complete(result, component)
-    angles, merge = merging(curve, component)
+    angles, merge = average_coincident_angles(curve, component)
     return MeasuredCurve(
         angles=angles,
         deviation=merge @ curve.deviation,
@@ -83,14 +83,14 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     )
 
 
-def merging(curve: MeasuredCurve, component: str) -> tuple[Floats, csr_array]:
+def average_coincident_angles(curve: MeasuredCurve, component: str) -> tuple[Floats, csr_array]:
     """Return ascending angles (n',) within a turn, and (n', n) that averages those that coincide.
 
     An arc is sorted and otherwise stays as it is. Raises DataError if two that coincide
     contradict each other.
     """
     angles = curve.angles
-    position = np.array([wrapped(a) for a in angles]) if curve.period else angles
+    position = np.array([wrap_to_turn(a) for a in angles]) if curve.period else angles
     order = np.argsort(position, kind="stable")
     new = np.append(True, np.diff(position[order]) > SAME_ANGLE)
     group = np.cumsum(new) - 1

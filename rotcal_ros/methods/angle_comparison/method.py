@@ -279,7 +279,7 @@ METHOD: Final = ByModel(
     plan_settings=ComparisonPlanSettings,
     solver_settings=ComparisonSolverSettings,
     simulation_settings=ComparisonSimulationSettings,
-    simulated_instrument=plugins.later(
+    simulated_instrument=plugins.lazy_load(
         "rotcal_ros.methods.angle_comparison.simulation:SimulatedComparison"
     ),
     plan=plan,

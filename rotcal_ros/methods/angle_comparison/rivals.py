@@ -20,7 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.units import DEGREE, TURN
 from rotcal_ros.methods.angle_comparison.model import (
@@ -156,7 +156,7 @@ def rivalry(
         model = model_of(rival.plan, rival.solver, replace(read, target=shown))
         if model.size[0] != found.model.size[0]:
             continue  # a certificate of other angles
-        open_.setdefault(rival.effect, listed(()))
+        open_.setdefault(rival.effect, join_texts(()))
         if not sound and _chance(model) > limits.significance:
             better.append(rival.what)
         if open_[rival.effect] or (other := _solved(model, found)) is None:

@@ -24,7 +24,7 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Header, Table, hashes
+from rotcal_ros.foundation.tables import Header, Table, table_hashes
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.arrivals import (
     Arrivals,
@@ -220,7 +220,7 @@ def read(
             name, value = min(zip(STD, std, strict=True), key=lambda each: each[1])
             raise DataError(f"{row.place}: {name} must be positive, found {value:g} m")
         observations.append(replace(observation, step=number, std=std))
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
 
 def short_setup(entries: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -241,7 +241,7 @@ METHOD: Final = Method(
     plan_settings=BallPlatePlanSettings,
     solver_settings=BallPlateSolverSettings,
     simulation_settings=PlateSimulationSettings,
-    simulated_instrument=plugins.later("rotcal_ros.methods.ball_plate.simulation:touch_probe"),
+    simulated_instrument=plugins.lazy_load("rotcal_ros.methods.ball_plate.simulation:touch_probe"),
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
@@ -254,8 +254,8 @@ METHOD: Final = Method(
     nominal=lambda _configuration, _plan: lambda step: step.position,
     table=TableReader(HEADERS, read, COLUMNS),
     short_setup=short_setup,
-    figures=plugins.later("rotcal_ros.methods.ball_plate.figures:figures"),
-    tables=plugins.later("rotcal_ros.methods.ball_plate.figures:tables"),
+    figures=plugins.lazy_load("rotcal_ros.methods.ball_plate.figures:figures"),
+    tables=plugins.lazy_load("rotcal_ros.methods.ball_plate.figures:tables"),
     zero=gauge.describe,
-    disturbances=plugins.later("rotcal_ros.methods.ball_plate.simulation:DISTURBANCES"),
+    disturbances=plugins.lazy_load("rotcal_ros.methods.ball_plate.simulation:DISTURBANCES"),
 )

@@ -22,6 +22,7 @@ from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.compact import mapped, written
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
@@ -29,7 +30,7 @@ from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Header, Table, hashes
+from rotcal_ros.foundation.tables import Header, Table, table_hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.methods.arrivals import (
     Arrivals,
@@ -180,7 +181,7 @@ def _other_way(solution: MirrorSolution, way: str, arrivals: Arrivals | None) ->
     if arrivals is not None:
         tied = mean_curve(arrivals)
         angles = arrivals.targets[arrivals.measured]
-        ecc, covariance = tied @ ecc, tied @ covariance @ tied.T
+        ecc, covariance = tied @ ecc, written(mapped(covariance, tied))
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return {"way": way, "angles_rad": angles, "ecc_rad": ecc, "ecc_std_rad": std}
 
@@ -289,7 +290,7 @@ class TrackerPoints:
 
 def read(configuration: Configuration, table: Table, _targets: Table | None) -> TrackerPoints:
     """Return the points of any stations and nests, whose rows need not be steps of a plan."""
-    return TrackerPoints(configuration, table, hashes(table))
+    return TrackerPoints(configuration, table, table_hashes(table))
 
 
 def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
@@ -344,7 +345,7 @@ def zero(result: Result) -> tuple[str, ...]:
     return (*first, closes)
 
 
-_TRACKER: Final = plugins.later("rotcal_ros.methods.plane_mirror.simulation:SimulatedTracker")
+_TRACKER: Final = plugins.lazy_load("rotcal_ros.methods.plane_mirror.simulation:SimulatedTracker")
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracker and plane mirror",
@@ -369,8 +370,8 @@ METHOD: Final = Method(
         tuple(stand.place for stand in tracker_stands(configuration.plan))
     ),
     table=TableReader((HEADER, TIMED), read, COLUMNS),
-    figures=plugins.later("rotcal_ros.methods.plane_mirror.figures:figures"),
-    tables=plugins.later("rotcal_ros.methods.plane_mirror.figures:tables"),
+    figures=plugins.lazy_load("rotcal_ros.methods.plane_mirror.figures:figures"),
+    tables=plugins.lazy_load("rotcal_ros.methods.plane_mirror.figures:tables"),
     zero=zero,
-    disturbances=plugins.later("rotcal_ros.methods.plane_mirror.simulation:DISTURBANCES"),
+    disturbances=plugins.lazy_load("rotcal_ros.methods.plane_mirror.simulation:DISTURBANCES"),
 )

@@ -26,7 +26,7 @@ from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
 from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.results import AxisLine, Result
-from rotcal_ros.foundation.tables import Table, hashes
+from rotcal_ros.foundation.tables import Table, table_hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
@@ -661,7 +661,7 @@ def read_passing(configuration: Configuration, table: Table) -> PlannedMeasureme
             )
         x, y, z = (FittedCurve.through(away[near], column).value for column in rows[near, 3:].T)
         observations.append(step.observed((x, y, z)))
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
 
 def read_rows(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
@@ -702,7 +702,9 @@ METHOD: Final = BY_MODEL.method(
     plan_settings=BallsPlanSettings,
     solver_settings=BallsSolverSettings,
     simulation_settings=BallsSimulationSettings,
-    simulated_instrument=plugins.later("rotcal_ros.methods.table_balls.simulation:TouchedBalls"),
+    simulated_instrument=plugins.lazy_load(
+        "rotcal_ros.methods.table_balls.simulation:TouchedBalls"
+    ),
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(

@@ -228,7 +228,7 @@ def _check_plan(configuration: Configuration, plan: Plan) -> None:
         )
 
 
-_TRACER: Final = plugins.later("rotcal_ros.methods.tracer.simulation:TracerAndReflector")
+_TRACER: Final = plugins.lazy_load("rotcal_ros.methods.tracer.simulation:TracerAndReflector")
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer, multi-station",
@@ -261,7 +261,7 @@ METHOD: Final = Method(
         again={"order": TARGETS_PER_STATION},
         with_angles=(*turning_table.HEADERS, *turning_readings.HEADERS),
     ),
-    figures=plugins.later("rotcal_ros.methods.tracer.figures:figures"),
-    tables=plugins.later("rotcal_ros.methods.tracer.figures:tables"),
-    disturbances=plugins.later("rotcal_ros.methods.tracer.simulation:DISTURBANCES"),
+    figures=plugins.lazy_load("rotcal_ros.methods.tracer.figures:figures"),
+    tables=plugins.lazy_load("rotcal_ros.methods.tracer.figures:tables"),
+    disturbances=plugins.lazy_load("rotcal_ros.methods.tracer.simulation:DISTURBANCES"),
 )

@@ -20,7 +20,14 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.tables import (
+    Header,
+    Row,
+    Table,
+    read_table,
+    require_header,
+    table_hashes,
+)
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import measurements
 from rotcal_ros.methods.calibration import Calibration, prepare, stated_circumstances
@@ -119,7 +126,7 @@ def read_stations(configuration: Configuration, table: Table) -> StationTable:
         error_motion_std=solver.error_motion_std_m,
         significance=solver.test_significance,
     )
-    return StationTable(configuration, problem, hashes(table))
+    return StationTable(configuration, problem, table_hashes(table))
 
 
 def _read_lengths(
@@ -173,7 +180,7 @@ def read_lengths(
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
-    return PlannedMeasurements(calibration, tuple(observations), hashes(*tables))
+    return PlannedMeasurements(calibration, tuple(observations), table_hashes(*tables))
 
 
 def _require_places(configuration: Configuration, table: Table, targets: Table | None) -> None:

@@ -20,7 +20,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import NOTHING
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.tables import Header, Table, hashes
+from rotcal_ros.foundation.tables import Header, Table, table_hashes
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND, TURN
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.configuration import Configuration
@@ -116,7 +116,7 @@ def read(
             observations.append(check(seen))
         attempts[run, turn.target] += 1
         segment += 1 + int(np.isnan(readings.length[turn.rows]).sum())
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
 
 def _alike(own: float, stated_deg_s: float) -> bool:

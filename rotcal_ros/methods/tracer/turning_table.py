@@ -17,7 +17,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.foundation.tables import Header, Row, Table, table_hashes
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.configuration import (
@@ -101,7 +101,7 @@ def read(
             if not observation.accepted:
                 raise DataError(f"{row.place}: {observation.reason}")
             observations.append(observation)
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
 
 def _turns(table: Table) -> list[_Turn]:

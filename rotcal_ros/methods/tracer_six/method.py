@@ -273,7 +273,9 @@ METHOD: Final = Method(
     plan_settings=SixPlanSettings,
     solver_settings=TracerSixSolverSettings,
     simulation_settings=SixSimulationSettings,
-    simulated_instrument=plugins.later("rotcal_ros.methods.tracer_six.simulation:CarriedTracer"),
+    simulated_instrument=plugins.lazy_load(
+        "rotcal_ros.methods.tracer_six.simulation:CarriedTracer"
+    ),
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
@@ -286,8 +288,8 @@ METHOD: Final = Method(
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
     table=TableReader(HEADERS, read, COLUMNS, TARGETS, runs="arrivals"),
-    figures=plugins.later("rotcal_ros.methods.tracer_six.figures:figures"),
-    tables=plugins.later("rotcal_ros.methods.tracer_six.figures:tables"),
+    figures=plugins.lazy_load("rotcal_ros.methods.tracer_six.figures:figures"),
+    tables=plugins.lazy_load("rotcal_ros.methods.tracer_six.figures:tables"),
     zero=gauge.describe,
-    disturbances=plugins.later("rotcal_ros.methods.tracer_six.simulation:DISTURBANCES"),
+    disturbances=plugins.lazy_load("rotcal_ros.methods.tracer_six.simulation:DISTURBANCES"),
 )

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.plugins import further_nodes, group_nodes
+from rotcal_ros.foundation.plugins import group_nodes, nodes_of_groups
 
 AS_CONFIGURED: Final = "as_configured"
 OWN: Final = "own"
@@ -39,7 +39,7 @@ def machine_nodes(groups: Collection[str], table: str, probe: str) -> list[str]:
                 f"{role}:={node} needs a group '{group}' in the configuration, which has "
                 f"{', '.join(sorted(groups)) or 'no group'}; see rotcal settings {group}"
             )
-    further = further_nodes(groups)
+    further = nodes_of_groups(groups)
     wanted = [node for node in further if node not in {**asked[0][2], **asked[1][2]}]
     for _, node, known in asked:
         wanted += [n for n in further if n in known][:1] if node == AS_CONFIGURED else [node]

@@ -21,8 +21,8 @@ from rotcal_msgs.srv import ApplyTable, GetCorrection, RestoreTable
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.export import standing
-from rotcal_ros.compensation.feed import Applied, Feed
+from rotcal_ros.compensation.export import describe_replacement
+from rotcal_ros.compensation.feed import AppliedChange, Feed
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.compensation.table import Correction
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
@@ -88,7 +88,7 @@ class BridgeNode(CellNode):
         self._facts |= {
             "confirmation": offer.confirmation,
             "files": ", ".join(map(str, files)),
-            "in_force": standing(offer.table),
+            "in_force": describe_replacement(offer.table),
             "residual": offer.export.residual.describe(),
             "warnings": "; ".join(offer.export.warnings),
         }
@@ -301,7 +301,7 @@ class ControllerAccess:
         return False
 
     async def _do(
-        self, action: Callable[[], Applied], response: Any, codes: tuple[Why, Why]
+        self, action: Callable[[], AppliedChange], response: Any, codes: tuple[Why, Why]
     ) -> None:
         """Change the table of the controller and put the outcome into the response.
 
@@ -309,7 +309,7 @@ class ControllerAccess:
         """
         good, bad = codes
 
-        def work() -> Applied:
+        def work() -> AppliedChange:
             try:
                 done = action()
             except (RotcalError, OSError) as error:

@@ -39,7 +39,7 @@ from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.capture.stamp_offsets import DOUBT_S, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.machine_load import describe, load_scaled_timeout
+from rotcal_ros.foundation.machine_load import describe_load, load_scaled_timeout
 from rotcal_ros.foundation.middleware import discovery_in_words
 from rotcal_ros.foundation.node_names import FURTHER_NODES
 from rotcal_ros.foundation.units import DEGREE
@@ -457,7 +457,7 @@ def clock_line(snapshot: CellSnapshot) -> CheckLine:
     if missed := snapshot.not_compared:
         counts = ", ".join(f"{role} ({snapshot.headers[role].count} messages)" for role in missed)
         found = f"not compared with joint_states: {counts}, too few or too uneven to tell; "
-        found += describe() if not snapshot.compared else f"{describe()}; {agree}"
+        found += describe_load() if not snapshot.compared else f"{describe_load()}; {agree}"
         # A probe that says only now and then where it is may be sound; a steady stream is not.
         steady = {*missed} & {*FAST} - {*single_shots(snapshot.configuration.topics)}
         todo = "listen longer, with --time 30, or beside less other work"

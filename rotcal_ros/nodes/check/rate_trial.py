@@ -108,7 +108,7 @@ def verdict(count: int, came: int, recording: BagRecording, longest_s: float) ->
     error = f"; {recording.error}" if recording.error else ""
     return ok, (
         f"{what}, the longest wait was {1000.0 * longest_s:.0f} ms (allowed "
-        f"{1000.0 * limit_s:.0f}); {machine_load.describe()}{error}"
+        f"{1000.0 * limit_s:.0f}); {machine_load.describe_load()}{error}"
     )
 
 

@@ -21,7 +21,7 @@ from rotcal_ros.bags.topic_roles import TOPIC
 from rotcal_ros.capture.instruments.conventions import single_shots
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.node_names import FURTHER_NODES, NODES
-from rotcal_ros.foundation.plugins import further_nodes, group_nodes
+from rotcal_ros.foundation.plugins import group_nodes, nodes_of_groups
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
@@ -186,14 +186,14 @@ class CellSnapshot:
     @property
     def strangers(self) -> tuple[str, ...]:
         """The suite's own machines that are here although the configuration does not have them."""
-        ours = further_nodes(self.configuration.given)
+        ours = nodes_of_groups(self.configuration.given)
         others = {node.name for node in group_nodes().values()} - {*ours, "bridge"}
         return () if self.calibration is None else tuple(sorted(self.nodes & others))
 
     @property
     def started_by_us(self) -> bool:
         """Whether ``rotcal run`` starts the instruments itself: a node simulates them."""
-        simulated = SIMULATION in further_nodes(self.configuration.given)
+        simulated = SIMULATION in nodes_of_groups(self.configuration.given)
         return simulated and not self.publishers(names.JOINT_STATES)
 
 
@@ -267,7 +267,7 @@ def cell_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
         elsewhere = len(others) - len(here)
         more = f"; {elsewhere} elsewhere in this domain" if elsewhere else ""
         yield CheckLine("cell", "nodes", "note", f"{', '.join(here) or 'none'} in {place}{more}")
-    if busy := sorted({*here} & {*NODES, *further_nodes(snapshot.configuration.given)}):
+    if busy := sorted({*here} & {*NODES, *nodes_of_groups(snapshot.configuration.given)}):
         found = f"nodes of a calibration are here already: {', '.join(busy)}"
         todo = "rotcal run would be refused: let them end (rotcal attach), or calibrate with them"
         yield CheckLine("cell", "calibration", "doubt", found, todo)

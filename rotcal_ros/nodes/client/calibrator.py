@@ -32,7 +32,7 @@ from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import NodeState, Why
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, load_json, read_text
 from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.configuration import configuration_text
 from rotcal_ros.nodes.runtime.health import PLANNER, Health
@@ -293,7 +293,9 @@ class Outcome:
         try:
             return Result.from_dict(load_json(read_text(Path(self.result_file))))
         except (OSError, ValueError) as error:
-            raise DataError(f"cannot read the result {self.result_file}: {why(error)}") from error
+            raise DataError(
+                f"cannot read the result {self.result_file}: {cause_of(error)}"
+            ) from error
 
 
 def text_of(configuration: Path | str | Configuration) -> str:

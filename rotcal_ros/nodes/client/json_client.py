@@ -21,7 +21,7 @@ from typing import Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.capture.rejections import kind_of
-from rotcal_ros.foundation.machine_load import WaitBudget, describe
+from rotcal_ros.foundation.machine_load import WaitBudget, describe_load
 from rotcal_ros.foundation.node_names import PAGE, VIEWERS
 from rotcal_ros.nodes.client.calibrator import (
     Calibrator,
@@ -124,7 +124,7 @@ class Client:
         jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
         concerns = ((kind_of(text), text) for text in warnings_told(health))
         slow = [
-            f"planner: no sign of it for {s:.1f} s: slow, not lost; {describe()}"
+            f"planner: no sign of it for {s:.1f} s: slow, not lost; {describe_load()}"
             for name, s in health.slow.items()
             if name == "planner"
         ]

@@ -14,8 +14,8 @@ from rotcal_msgs.msg import DeviationArray, Pause
 from rotcal_ros.evaluation.marks import Mark, tolerance, withheld_by
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.language import listed, noted, phrase
-from rotcal_ros.foundation.protection import two_lines
+from rotcal_ros.foundation.language import join_texts, noted, phrase
+from rotcal_ros.foundation.protection import split_verdict_line
 from rotcal_ros.foundation.session_folder import resume_command, unfinished
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Calibration
@@ -120,7 +120,7 @@ def _marks(message: DeviationArray, identity: Identity, why: str | None) -> tupl
         {n: np.array(found) for n in COMPONENTS if len(found := getattr(message, n.lower() + end))}
         for end in ("", "_std")
     )
-    words, remark = two_lines(message.verdict_line or message.verdict)
+    words, remark = split_verdict_line(message.verdict_line or message.verdict)
     about = Mark("measurement", message.verdict, phrase(words), remark)
     against = tolerance(values, std, identity, why)
     return tuple(PageMark.of(m) for m in (about, against) if m is not None)
@@ -148,7 +148,7 @@ def _words(health: Health, name: str) -> str:
     values = health.values(name)
     forms = {"lost_nodes": noted("without {0}"), "unfinished": "{0}"}
     trouble = [phrase(form, values[key]) for key, form in forms.items() if key in values]
-    return listed([health.describe(name), *trouble])
+    return join_texts([health.describe(name), *trouble])
 
 
 def recording(values: Mapping[str, str]) -> RecorderState | None:

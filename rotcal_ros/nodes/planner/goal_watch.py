@@ -386,7 +386,7 @@ class GoalWatch:
         """Find the slow nodes, log an overload once, and show what is being waited for."""
         overload, before = self._overload, self._overload.text
         self.slow = self.required.slow() | self._silent
-        if text := overload.look(self.slow, time.monotonic(), machine_load.describe):
+        if text := overload.look(self.slow, time.monotonic(), machine_load.describe_load):
             self.links.node.get_logger().warning(text)
         if bool(overload.text) == bool(before):
             return

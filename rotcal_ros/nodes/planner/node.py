@@ -29,7 +29,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalEr
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.foundation.node_state import NodeState, State, Why
-from rotcal_ros.foundation.plugins import describe, nearest
+from rotcal_ros.foundation.plugins import describe_error, name_hint
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.settings import to_mapping
 from rotcal_ros.methods import Calibration, prepare_to_measure
@@ -524,7 +524,7 @@ class Planner(CellNode):
 
     def _unknown(self, error: Exception) -> Codes:
         self.health.note_error("goal", error)
-        return Codes(error_code=Codes.UNKNOWN, error_msg=describe(error))
+        return Codes(error_code=Codes.UNKNOWN, error_msg=describe_error(error))
 
     async def _prepared(self, handle: ServerGoalHandle) -> GoalRun:
         """Run :meth:`_prepare` in a thread: it may take seconds, and the node goes on."""
@@ -606,7 +606,7 @@ class PlannerParameters:
             if isinstance(value, dict) and group not in GROUPS:
                 raise ConfigurationError(
                     f"{node.get_name()}: parameters: unknown group {group!r}"
-                    f"{nearest(group, GROUPS)}"
+                    f"{name_hint(group, GROUPS)}"
                 )
         self._groups = {
             group: cls

@@ -17,7 +17,7 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.bags import names
 from rotcal_ros.capture.publishers import RUN, PendingPlans, PlanOwner, run_name
 from rotcal_ros.foundation.errors import DataError, PlanError, RotcalError
-from rotcal_ros.foundation.untrusted import read_text, reading
+from rotcal_ros.foundation.untrusted import read_errors_as, read_text
 from rotcal_ros.methods import Calibration, prepare
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.continuation import Continuation
@@ -64,7 +64,7 @@ def read_continuation(node: CellNode) -> Continuation | None:
     )
     if not path:
         return None
-    with reading(path, DataError, "the continuation "):
+    with read_errors_as(path, DataError, "the continuation "):
         return Continuation.from_json(read_text(Path(path)))
 
 

@@ -88,7 +88,7 @@ class CellNode(ManagedNode, ABC):
         super().__init__(name, **options)
         self.given = given_parameters(self)
         self._latched: dict[Callable[[Any], None], Any] = {}
-        self._left_alone: set[str] = set()
+        self._ignored_topics: set[str] = set()
         self._answering = 0
         self._answers = MutuallyExclusiveCallbackGroup()
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
@@ -124,8 +124,8 @@ class CellNode(ManagedNode, ABC):
                     handle(message)
                 elif latched:
                     self._latched[handle] = message
-                elif topic not in self._left_alone:
-                    self._left_alone.add(topic)
+                elif topic not in self._ignored_topics:
+                    self._ignored_topics.add(topic)
                     self.get_logger().warning(f"{topic} is ignored: {self.not_active_error()}")
 
         DrainedSubscription(self, kind, topic, qos, take)
@@ -240,6 +240,6 @@ class CellNode(ManagedNode, ABC):
                 handle(message)
         if self.active or not self.configured:
             self._latched.clear()
-        self._left_alone.clear()
+        self._ignored_topics.clear()
         self.health.beat()
         return super()._entered(success)

@@ -27,7 +27,7 @@ from rotcal_msgs import msg
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.machine_load import AwakeClock, end_without_memory
 from rotcal_ros.foundation.node_state import UNHEARD, NodeState, State
-from rotcal_ros.foundation.plugins import culprit
+from rotcal_ros.foundation.plugins import failing_plugin
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.clocks import ReportedClockJumps, SimClock
 from rotcal_ros.nodes.runtime.liveness import (
@@ -189,7 +189,9 @@ class Health:
         kind = f"{where}: {type(error).__name__}"
         self.errors[kind] += 1
         if self.errors[kind] == 1:
-            self._node.get_logger().error(f"{kind}: {error} {culprit(error) or ''}".rstrip())
+            self._node.get_logger().error(
+                f"{kind}: {error} {failing_plugin(error) or ''}".rstrip()
+            )
 
     def present(self) -> set[str]:
         """Return the names of the other nodes that are there, slow ones too."""

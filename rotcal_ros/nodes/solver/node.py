@@ -17,10 +17,10 @@ from rotcal_ros.capture import messages
 from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import DataError, RotcalError
-from rotcal_ros.foundation.in_force import of_axis
+from rotcal_ros.foundation.in_force import states_of_axis
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, SOLVING, NodeState, State, Why
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.plugins import describe
+from rotcal_ros.foundation.plugins import describe_error
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import Calibration, last_accepted
 from rotcal_ros.methods.calibration import RunStep
@@ -138,7 +138,7 @@ class SolverNode(CellNode):
             )
 
     def _begin(self, calibration: Calibration) -> Future[Result]:
-        announced = of_axis(self._in_force, calibration.configuration.cell.axis)
+        announced = states_of_axis(self._in_force, calibration.configuration.cell.axis)
         known = tuple(self._observations.values()), announced, self._frames.frames
         self._solving = self._worker.submit(calibration.solve, *known)
         self.health.beat()  # before the computation can delay it
@@ -175,7 +175,7 @@ class SolverNode(CellNode):
             response.message = str(error)
             if not isinstance(error, RotcalError):
                 self.health.note_error("final solution", error)
-                response.message = describe(error)
+                response.message = describe_error(error)
             self._state = NodeState.of(State.FAILED, Why.NO_RESULT, response.message)
         return response
 

@@ -109,7 +109,7 @@ def test_one_reflector_on_the_table_cannot_tell_and_says_so():
 
 @pytest.mark.slow
 def test_small_ones_are_seldom_ok_and_wrong():
-    """The figures for 100 worlds of each size are in docs/evidence_methods.md."""
+    """The figures for 100 worlds of each size are in docs/evidence.md."""
     missed = 0
     for seed in range(10 if LONG else 2):
         world = mirror_world(seed, "random", 5.0)

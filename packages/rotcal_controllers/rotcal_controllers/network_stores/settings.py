@@ -10,7 +10,7 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.untrusted import read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, read_text
 
 OTHERS: Final = 0o077
 """Rights of group and others on a file."""
@@ -96,7 +96,7 @@ def secret(source: str, where: str) -> str:
             raise ConfigurationError(f"{where}: others may read {path}: run chmod 600 {path}")
         return read_text(path).rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{where}: cannot read {path}: {why(error)}") from error
+        raise ConfigurationError(f"{where}: cannot read {path}: {cause_of(error)}") from error
 
 
 def _check_source(source: str, where: str) -> tuple[str, str]:

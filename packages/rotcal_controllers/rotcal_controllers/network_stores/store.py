@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final, Protocol
 
-from rotcal_ros.compensation.controller_store import ControllerFolder, answered
+from rotcal_ros.compensation.controller_store import ControllerFolder, call_with_timeout
 from rotcal_ros.compensation.writing import PROVENANCE
 
 GRACE_S: Final = 2.0
@@ -51,7 +51,7 @@ class NetworkStore:
         """Return those of the files that exist."""
         wanted = list(names)
         tables = [name for name in wanted if not _is_side(name)]
-        found = answered(
+        found = call_with_timeout(
             lambda: self._link.read(tables), self._timeout_s, self._link.address, "read"
         )
         return found | self._records.read(filter(_is_side, wanted))
@@ -59,7 +59,9 @@ class NetworkStore:
     def write(self, files: Mapping[str, str | None]) -> None:
         """Replace the files, tables first: so provenance never describes a missing table."""
         tables = {name: text for name, text in files.items() if not _is_side(name)}
-        answered(lambda: self._link.write(tables), self._timeout_s, self._link.address, "write")
+        call_with_timeout(
+            lambda: self._link.write(tables), self._timeout_s, self._link.address, "write"
+        )
         self._records.write({name: text for name, text in files.items() if _is_side(name)})
 
 

@@ -25,7 +25,7 @@ from rotcal_ros.adjust.distributions import binomial_quantile
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError, RotcalError
-from rotcal_ros.foundation.results import plain
+from rotcal_ros.foundation.results import json_value
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.exchange import Progress
 from rotcal_ros.methods.tracer.policy.information import Lengths, Scene, noisy_problem
@@ -292,8 +292,8 @@ class OrderedDesign:
         below = dict(zip(("rms", "largest"), self.promise.below(settings.confidence), strict=True))
         return {
             **self.design.to_dict(),
-            **{f"expanded_{name}_arcsec": plain(u / ARCSEC) for name, u in stated.items()},
-            **{f"promised_{name}_arcsec": plain(u / ARCSEC) for name, u in below.items()},
+            **{f"expanded_{name}_arcsec": json_value(u / ARCSEC) for name, u in stated.items()},
+            **{f"promised_{name}_arcsec": json_value(u / ARCSEC) for name, u in below.items()},
             "confidence": settings.confidence,
             "met": self.promise.met(*settings.goal),
             "suspected": self.promise.suspected,

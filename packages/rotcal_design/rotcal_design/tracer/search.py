@@ -20,7 +20,7 @@ from rotcal_design.tracer.optimum import Optimum, ideal_plan
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.foundation.results import plain
+from rotcal_ros.foundation.results import json_value
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.exchange import Demands, Progress, fewest_lengths
 from rotcal_ros.methods.tracer.policy.information import (
@@ -119,9 +119,9 @@ class TracerDesign:
             "checked": self.settings.checked,
             "smallest_redundancy": float(self.checks.redundancy.min()),
             "unchecked": int((self.checks.redundancy < UNCHECKED).sum()),
-            "largest_detectable_m": plain(self.checks.detectable.max()),
-            "largest_undetected_in_u": plain(self.checks.share.max()),
-            "largest_undetected_arcsec": plain(np.abs(self.checks.effect).max() / ARCSEC),
+            "largest_detectable_m": json_value(self.checks.detectable.max()),
+            "largest_undetected_in_u": json_value(self.checks.share.max()),
+            "largest_undetected_arcsec": json_value(np.abs(self.checks.effect).max() / ARCSEC),
         }
 
 

@@ -14,7 +14,7 @@ from rotcal_ros.cli.plan import order_dict, order_in_words, touch_option
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
-from rotcal_ros.foundation.results import plain
+from rotcal_ros.foundation.results import json_value
 from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE
 from rotcal_ros.methods.ball_plate.settings import EXPANSION
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
@@ -284,7 +284,7 @@ def _std(error: float) -> str:
 def forecast_dict(forecast: OrderForecast, material: str, warming_k: float) -> dict[str, Any]:
     """Return the forecast in SI; None where nothing is found, or nothing bounds an error."""
     growth, grown = forecast.growth, EXPANSION[material] * warming_k
-    found: dict[str, Any] = plain({
+    found: dict[str, Any] = json_value({
         "growth": {
             "material": material,
             "warming_k": warming_k,

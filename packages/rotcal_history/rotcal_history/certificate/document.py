@@ -31,7 +31,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.escapes import printable, printable_lines
 from rotcal_ros.foundation.identity import Identity, InstrumentIdentity
 from rotcal_ros.foundation.in_force import describe
-from rotcal_ros.foundation.language import ENGLISH, Phrase, codes, language, phrase
+from rotcal_ros.foundation.language import ENGLISH, Phrase, language, language_codes, phrase
 from rotcal_ros.foundation.results import AxisLine, Result
 
 DCC_NAMESPACE: Final = "https://ptb.de/dcc"
@@ -40,7 +40,7 @@ PREFIXES: Final = {"dcc": DCC_NAMESPACE, "si": SI_NAMESPACE}
 DCC: Final = ElementMaker(namespace=DCC_NAMESPACE, nsmap=PREFIXES)
 SI: Final = ElementMaker(namespace=SI_NAMESPACE, nsmap=PREFIXES)
 LANGUAGE: Final = ENGLISH.code
-OTHERS: Final = codes()[1:]
+OTHERS: Final = language_codes()[1:]
 
 
 def text(tag: str, *paragraphs: str, **attributes: str) -> Any:
@@ -453,7 +453,7 @@ def _core_data(circumstances: Circumstances, issued: date) -> Any:
     return DCC.coreData(
         *present(
             leaf("countryCodeISO3166_1", identity.laboratory_country),
-            *(leaf("usedLangCodeISO639_1", code) for code in codes()),
+            *(leaf("usedLangCodeISO639_1", code) for code in language_codes()),
             leaf("mandatoryLangCodeISO639_1", LANGUAGE),
             leaf("uniqueIdentifier", number),
             ordered,

@@ -18,7 +18,7 @@ from typing import Any
 from rotcal_ros.bags.reader import bag_files, is_storage_name
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.untrusted import read_text, reading, require_no_secret
+from rotcal_ros.foundation.untrusted import read_errors_as, read_text, require_no_secret
 
 Inodes = frozenset[tuple[int, int]]
 
@@ -105,7 +105,7 @@ class _FolderSearch:
     def _listed(self, path: Path) -> Iterator[str]:
         if not self._enter(path):
             return
-        with reading(path, BagError, "the list "):
+        with read_errors_as(path, BagError, "the list "):
             lines = read_text(path, "utf-8-sig").splitlines()
         for line in map(str.strip, lines):
             if line and not line.startswith("#"):

@@ -20,7 +20,7 @@ from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.plugins import culprit, describe
+from rotcal_ros.foundation.plugins import describe_error, failing_plugin
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.methods.configuration import Configuration, raw_groups
@@ -77,8 +77,8 @@ def _in_words(error: Exception) -> str:
         return str(error)
     if isinstance(error, MemoryError):
         return "the bag needs more memory than there is"
-    if culprit(error):
-        return describe(error)
+    if failing_plugin(error):
+        return describe_error(error)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
     return f"{type(error).__name__} while solving, which is a fault of rotcal_ros: {error}"

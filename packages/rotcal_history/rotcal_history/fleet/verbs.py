@@ -94,7 +94,7 @@ def command(
     from rotcal_history.fleet.bag_search import find_bags
     from rotcal_history.fleet.batch_solving import Job
     from rotcal_history.fleet.workers import on_all_cores, on_cluster
-    from rotcal_ros.foundation.machine_load import cores
+    from rotcal_ros.foundation.machine_load import core_count
     from rotcal_ros.foundation.untrusted import require_no_secret
     from rotcal_ros.methods.configuration import read_configuration
 
@@ -110,7 +110,7 @@ def command(
         if scheduler:
             running = on_cluster(jobs, scheduler, time_limit_s)
         else:
-            workers = min(workers or cores(), len(found))
+            workers = min(workers or core_count(), len(found))
             running = on_all_cores(jobs, workers, time_limit_s)
         with closing(running):
             bags = _followed(running, len(found))

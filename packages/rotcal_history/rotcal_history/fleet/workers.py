@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from rotcal_history.fleet.batch_solving import BagOutcome, Job, solve_bag
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.machine_load import cores
+from rotcal_ros.foundation.machine_load import core_count
 
 TIME_LIMIT_S: Final = 3600.0
 """How long a bag may take by default."""
@@ -49,7 +49,7 @@ def on_all_cores(
     A process that dies is started again and its job tried once more; a job that kills two, or
     takes longer than ``time_limit_s``, becomes an outcome with that error.
     """
-    workers = workers or cores()
+    workers = workers or core_count()
     remaining = iter(jobs)
     crew = [Supervised(work, time_limit_s) for _ in range(workers)]
     idle: SimpleQueue[Supervised] = SimpleQueue()

@@ -23,14 +23,14 @@ from rotcal_ros.evaluation.combination import UNCHECKED
 from rotcal_ros.evaluation.reference import UNCERTAINTIES, require_known_factor
 from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.errors import DataError, UndecidedError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.table_columns import ANGLE, UNITS, undecided
+from rotcal_ros.foundation.table_columns import ANGLE, UNITS
 from rotcal_ros.foundation.table_reading import Reading
-from rotcal_ros.foundation.tables import Row, Table, hashes
+from rotcal_ros.foundation.tables import Row, Table, table_hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.arrivals import Arrivals, arrivals_of, mean_of_runs
@@ -47,7 +47,7 @@ from rotcal_tables.deviations.settings import (
     DeviationSolverSettings,
 )
 from rotcal_tables.deviations.simulation import SimulatedIndexer
-from rotcal_tables.sheets.deviations import BY_BOTH
+from rotcal_tables.sheets.deviations import BY_BOTH, which_sign
 from rotcal_tables.sheets.words import ACTUAL, REVERSED
 
 NAME: Final = "deviations"
@@ -192,7 +192,7 @@ def read(
     for row in table.rows():
         seen = row.radians(DEVIATION, LARGEST_RAD), _std(row), 0.0
         observations.append(read_at(row, find(row).observed(seen)))
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
 
 def _std(row: Row) -> float:
@@ -222,25 +222,8 @@ def require_sign(reading: Reading) -> None:
     }
     ours = {f"deviation_{unit}" for unit in UNITS[ANGLE]}.intersection(reading.form_head)
     if not (stated or ours or ACTUAL in reading.uses or BY_BOTH in reading.remarks):
-        raise _which_sign(reading)
-
-
-def _which_sign(reading: Reading) -> UndecidedError:
-    row = max(reading.table.rows(), key=lambda row: abs(row.number(DEVIATION)))
-    value, place = row.number(DEVIATION) / ARCSEC, row.place
-    far, short = ("too far", "too little") if value > 0.0 else ("too little", "too far")
-    size = f"{abs(value):.6g} arcsec"
-    return undecided(
-        f"{place}: {value:.6g} arcsec may be a deviation (actual - commanded) or a correction "
-        "(commanded - actual)",
-        "sheet.values",
-        [
-            ("deviations", f"there the axis stands {size} {far}; the control will add "
-             f"{-value:+.6g} arcsec to the command"),
-            ("corrections", f"there the axis stands {size} {short}; the control will add "
-             f"{value:+.6g} arcsec to the command"),
-        ],
-    )  # fmt: skip
+        row = max(reading.table.rows(), key=lambda row: abs(row.number(DEVIATION)))
+        raise which_sign(row.place, row.number(DEVIATION))
 
 
 def _zero(_result: Result) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from rotcal_ros.foundation.table_columns import (
     meaning,
     undecided,
 )
-from rotcal_ros.foundation.units import DEGREE, TURN
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_tables.sheets.counters import COUNTERS, is_counter, likely
 from rotcal_tables.sheets.words import ACTUAL, REVERSED, TABLE_ANGLE
 
@@ -126,16 +126,19 @@ class StatedDeviations:
             if self.settings.values == "corrections":
                 return [-value for value in stated.values], TURNED
             return stated.values, ""
-        either = columns[REVERSED]
-        if REVERSED in self.settings.named():
+        return self._of_either_sign(columns[REVERSED])
+
+    def _of_either_sign(self, either: Angles) -> tuple[Sequence[Decimal], str]:
+        """Return differences whose sign a person has stated; else raise the question."""
+        if REVERSED in self.settings.named() or self.settings.values == "corrections":
             return [-value for value in either.values], TURNED
-        raise self._asked(
-            f"{either.text!r} may be actual - commanded, or commanded - actual",
-            {
-                meaning("deviation", either.text): "actual - commanded: taken as it stands",
-                meaning(REVERSED, either.text): "commanded - actual: its sign is turned",
-            },
-        )
+        if self.settings.values == "deviations":
+            return either.values, ""
+        k = max(range(len(self.rows)), key=lambda row: abs(either.values[row]))
+        raise which_sign(
+            f"{self.where}row {self.rows[k]}, {either.text!r}", float(either.values[k]),
+            self.proposal,
+        )  # fmt: skip
 
     def _differences(
         self, measured: Angles, commanded: Angles, counter: str, zero: str
@@ -294,6 +297,27 @@ class StatedDeviations:
                 meaning("deviation", beside.text): f"{beside.text} as it stands",
             },
         )
+
+
+def which_sign(place: str, value: float, proposal: Sequence[str] = ()) -> UndecidedError:
+    """Return the question whether a ``value`` (rad) is a deviation or a correction.
+
+    Its answers say what both would do at one angle.
+    """
+    arcsec = value / ARCSEC
+    far, short = ("too far", "too little") if arcsec > 0.0 else ("too little", "too far")
+    ways = {"deviations": (far, -arcsec), "corrections": (short, arcsec)}
+    return undecided(
+        f"{place}: {arcsec:.6g} arcsec may be a deviation (actual - commanded) or a correction "
+        "(commanded - actual)",
+        "sheet.values",
+        [
+            (meant, f"there the axis stands {abs(arcsec):.6g} arcsec {where}; the control will "
+             f"add {added:+.6g} arcsec to the command")
+            for meant, (where, added) in ways.items()
+        ],
+        proposal,
+    )  # fmt: skip
 
 
 def _wrapped(angle: Decimal, period: Decimal = _TURN) -> Decimal:

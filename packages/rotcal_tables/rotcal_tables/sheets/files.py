@@ -19,7 +19,7 @@ from typing import Any, Final, TypeAlias
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.language import noted, phrase
-from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, reading
+from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, read_errors_as
 from rotcal_tables.sheets import workbook
 
 Cell: TypeAlias = "str | float"
@@ -68,7 +68,7 @@ def sheets(path: Path) -> list[Sheet]:
 
     Raises BagError for a file that cannot be read.
     """
-    with reading(path, BagError, "the table "):
+    with read_errors_as(path, BagError, "the table "):
         data = read_bytes(path)
     if data.startswith(WORKBOOKS):
         return _sheets(path, data)

@@ -51,8 +51,10 @@ BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 DIFFERENCE: Final = frozenset({ACTUAL, REFERENCE, REVERSED})
 """What may stand for a deviation: measured angles, or a difference of another sign."""
 _ARROW: Final = re.compile(r"([↑↓←→↻↺⟳⟲])|[_/]")
-_SIGNED: Final = re.compile(r"(?<!\S)([+-])(?=\d)")
-"""A direction before the number of a run."""
+_SIGNED: Final = re.compile(r"(?<!\S)([+-])(?=\d)|(?<=\w)([+-])(?!\S)")
+"""A direction before the number of a run, or at the end of a word."""
+_OF_ISO: Final = frozenset({"x", "e", "δ"})
+"""Letters for a deviation, as x of ISO 230-2."""
 _LETTER: Final = r"[\s_\-:.]+|(?<=\b[^\W\d_])(?=\d)"
 """What parts words at the head of a matrix, and the letter of X1 from its number."""
 _COARSE: Final = ("deg", "gon", "dms")
@@ -242,6 +244,29 @@ def _first_words(layout: Layout) -> str:
     return ", ".join(text for _, cells in rows for text in texts_of(cells))[:_WORDS]
 
 
+def with_numbers(sheets: Iterable[Sheet]) -> list[Sheet]:
+    """Return those sheets that are columns of numbers without names, below #1, #2 and so on."""
+    found = []
+    for sheet in sheets:
+        rows = [row for row in sheet.rows if len(texts_of(row[1])) > 1]  # without titles
+        width = max((len(cells) for _, cells in rows), default=0)
+        cells = [cell for _, cells in rows for cell in cells if cell != ""]
+        if width and all(number_of(cell) is not None for cell in cells):
+            head = tuple(f"#{place + 1}" for place in range(width))
+            found.append(replace(sheet, rows=((0, head), *rows)))
+    return found
+
+
+def upright(sheet: Sheet) -> Sheet:
+    """Return a sheet whose rows are columns of ours, each with its name in front, turned."""
+    rows = [cells for _, cells in sheet.rows]
+    names = [columns_of(Heading.of(_text(cells[0]))) for cells in rows if cells[0]]
+    numbers = [number_of(cell) is not None for cells in rows for cell in cells[1:]]
+    if not (1 < len(rows) == len(names) and all(names) and len(numbers) > 2 and all(numbers)):
+        return sheet
+    return replace(sheet, rows=tuple(enumerate(zip(*rows, strict=True), start=1)))
+
+
 def number_of(cell: Cell) -> float | None:
     """Return the size of what stands in a cell, in whatever unit; None for words."""
     for mark in (".", ","):
@@ -295,7 +320,7 @@ def _of_rows(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) 
     best: Layout | None = None
     for row in range(min(len(sheet.rows), _LOOKED_AT)):
         for heads, below in _heads(sheet, row):
-            if len(heads) < 2:
+            if len(heads) < 2 or not _above_numbers(sheet, row + below, named):
                 continue
             for header in headers:
                 layout = _of_heads(sheet, header, heads, named)
@@ -304,6 +329,13 @@ def _of_rows(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) 
     if best is None:
         return None
     return replace(best, length_unit=_stated_unit(sheet, best.first))
+
+
+def _above_numbers(sheet: Sheet, first: int, named: Mapping[str, str]) -> bool:
+    """Return whether columns that a person named by #1, #2 have a number in a row."""
+    cells = dict(enumerate(sheet.rows[first][1])) if first < len(sheet.rows) else {}
+    places = [int(text[1:]) - 1 for text in named.values() if re.fullmatch(r"#\d{1,4}", text)]
+    return not places or any(number_of(cells.get(place, "")) is not None for place in places)
 
 
 def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
@@ -395,8 +427,9 @@ def _of_heads(
     others = {place: head for place, head in heads.items() if place != min(heads)}
     alone = not any(_meant(head, place, wanted, named) for place, head in others.items())
     corner = _corner(heads, wanted, named) if alone else None
+    signed = _with_both_signs(heads)
     for place, head in (others if corner else heads).items():
-        meant = _meant(head, place, wanted, named)
+        meant = [] if place in signed else _meant(head, place, wanted, named)
         name = next((name for name in meant if name not in uses), "")
         measures = wanted[name].quantity if name in wanted else ANGLE
         use = Use(place, head.text, of_quantity(head.units, measures))
@@ -440,6 +473,13 @@ def _of_heads(
         head=tuple(head.text for head in heads.values()),
         places=tuple(heads),
     )
+
+
+def _with_both_signs(heads: Mapping[int, Heading]) -> list[int]:
+    """Return the places of headings that differ in a + or - alone, or in arrows."""
+    bare = {p: re.sub(r"[+\-↑↓←→\s]", "", head.name) for p, head in heads.items()}
+    count = Counter(bare.values())
+    return [p for p, text in bare.items() if text != heads[p].name and count[text] > 1]
 
 
 def _with_roles(
@@ -621,7 +661,7 @@ def _labels(
     That is a number behind any word, or a table angle, and perhaps a direction.
     """
     if key == RUN:
-        text = _SIGNED.sub(r"\1 ", text)
+        text = _SIGNED.sub(r" \1\2 ", text)
     parts = [part.strip("()[],;") for part in _ARROW.sub(r" \1 ", text).split()]
     way, rest = dict[str, Cell](), " ".join(parts)
     spans = [
@@ -641,7 +681,7 @@ def _labels(
         small = head_units and head_units[0] not in _COARSE and values[0].quantity == ANGLE
         if unit or ((way or values[0].name == "deviation") and not small):
             return "", {TABLE_ANGLE: f"{bare}{unit}", **way}
-    nothing_else = not rest or "deviation" in columns_of(Heading(rest, rest))
+    nothing_else = rest in {"", *_OF_ISO} or "deviation" in columns_of(Heading(rest, rest))
     if way and nothing_else and key in (DIRECTION, RUN):
         return rest, way
     found = label_of(rest)

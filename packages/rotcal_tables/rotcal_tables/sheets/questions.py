@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, Question
-from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.plugins import name_hint
 from rotcal_ros.foundation.table_columns import (
     ANGLE,
     UNITS,
@@ -21,7 +21,14 @@ from rotcal_ros.foundation.table_columns import (
 from rotcal_ros.foundation.table_reading import Use
 from rotcal_ros.foundation.tables import Header
 from rotcal_tables.sheets.files import Cell, Sheet
-from rotcal_tables.sheets.layout import BESIDE, CORNER, Layout, side_by_side, strange_unit
+from rotcal_tables.sheets.layout import (
+    BESIDE,
+    CORNER,
+    Layout,
+    side_by_side,
+    strange_unit,
+    with_numbers,
+)
 from rotcal_tables.sheets.numerals import parse
 from rotcal_tables.sheets.words import (
     ACTUAL,
@@ -50,11 +57,11 @@ def require_named(
     there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
     for name, text in named.items():
         if name not in ours.union(known_columns()):
-            raise ConfigurationError(f"sheet.columns: no column {name!r}{nearest(name, ours)}")
+            raise ConfigurationError(f"sheet.columns: no column {name!r}{name_hint(name, ours)}")
         numbered = text[:1] == "#" and text[1:].isdigit()
         if name in ours and folded(text) not in there and not numbered:
             raise BagError(
-                f"{path}: sheet.columns: no column is called {text!r}{nearest(text, head)}"
+                f"{path}: sheet.columns: no column is called {text!r}{name_hint(text, head)}"
             )
 
 
@@ -146,7 +153,7 @@ def _no_names(
         return BagError(f"{found}add a line of names above the numbers", question=question)
     heads = {place: Heading.of(text) for place, text in row.items()}
     units = [head.units for head in heads.values()]
-    if names[1:] == ["deviation"] and units[0] == units[1]:
+    if names[1:] == ["deviation"] and () != units[0] == units[1]:
         names[1] = ACTUAL
     if len(texts) > len(names):  # one after the other
         names = names[:1]
@@ -179,7 +186,9 @@ def _likely_row(grids: Sequence[Sheet]) -> tuple[Sheet | None, dict[int, str]]:
         for (_, cells), (_, below) in pairwise(sheet.rows[:_LOOKED_AT])
         if not any(map(is_number, cells)) and sum(map(is_number, below)) > 1
     ]
-    return max(rows, key=lambda row: len(row[1]), default=(None, {}))
+    bare = [(sheet, dict(enumerate(map(str, sheet.rows[0][1])))) for sheet in with_numbers(grids)]
+    several = [row for row in rows if len(row[1]) > 1]
+    return max(several or bare or rows, key=lambda row: len(row[1]), default=(None, {}))
 
 
 def text_of(cell: Cell) -> str:

@@ -51,6 +51,8 @@ from rotcal_tables.sheets.layout import (
     number_of,
     side_by_side,
     texts_of,
+    upright,
+    with_numbers,
 )
 from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_tables.sheets.passes import Halt, closed, directed, is_repeated, passes
@@ -125,6 +127,9 @@ class AnyForm:
         named, raw = settings.named(), found
         if settings.names:
             found = [with_names_apart(grid, settings.names) for grid in raw]
+        if any(text.startswith("#") for text in named.values()):
+            found = with_numbers(found) or found
+        found = list(map(upright, found))
         layout = best_layout(found, headers, named, str(path), settings.table)
         require_named(path, headers, named, layout.head if layout else likely_head(found))
         if layout is None or layout.missing:

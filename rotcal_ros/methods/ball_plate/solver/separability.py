@@ -33,7 +33,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
@@ -245,7 +245,7 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
 
 def _spell(parts: dict[str, tuple[int, ...]]) -> Phrase:
     single, several = noted("harmonic {0} of {1}"), noted("harmonics {0} of {1}")
-    return listed(
+    return join_texts(
         [phrase(several if len(q) > 1 else single, _ranges(q), n) for n, q in parts.items()]
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError, GeometryError
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
@@ -86,7 +86,7 @@ def laid_out(
     layout = PointLayout(problem, used, problem.angles[used], pairs, reflectors, nests, tied)
     require_angles(layout, problem.way)
     absent = np.setdiff1d(np.arange(len(problem.angles)), used).tolist()
-    names = listed([problem.position_name(i) for i in absent], ", ")
+    names = join_texts([problem.position_name(i) for i in absent], ", ")
     missing = (phrase(NO_POINTS, names),) * bool(absent)
     return layout, tuple(rejected), missing
 

@@ -18,7 +18,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints, rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene, noisy_problem
@@ -311,7 +311,7 @@ class LengthExperiment:
         found = self._telling(self._known(measured))
         needed = noted("table position {0} has {1} lengths of {2} needed")
         few = np.flatnonzero(found < self.minimum)
-        return listed([phrase(needed, at, found[at], self.minimum) for at in few], ", ")
+        return join_texts([phrase(needed, at, found[at], self.minimum) for at in few], ", ")
 
     @property
     def stations(self) -> int:

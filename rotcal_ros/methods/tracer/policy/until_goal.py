@@ -34,7 +34,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.language import NOTHING, Phrase, listed, phrase
+from rotcal_ros.foundation.language import NOTHING, Phrase, join_texts, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
@@ -178,7 +178,7 @@ class UntilGoal:
         """Return the choice without its standing."""
         if self._stop is not None:
             closed = self._closing.describe()
-            why = listed([self._stop, closed], "") if closed else self._stop
+            why = join_texts([self._stop, closed], "") if closed else self._stop
             return Choice(None, why, NOWHERE)
         step, reason = self._queue[0]
         if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
@@ -392,7 +392,7 @@ class Closing:
         if not known:
             return NOTHING
         steps = [phrase("{0} {1}", step, _by(change)) for step, change in known.items()]
-        return phrase("; closed: step {0}", listed(steps, ", "))
+        return phrase("; closed: step {0}", join_texts(steps, ", "))
 
 
 def _by(change: float) -> Phrase:

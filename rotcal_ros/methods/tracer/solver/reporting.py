@@ -10,7 +10,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Rejection, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -141,5 +141,5 @@ def tangential_protection(
     bound = phrase(NO_ANGLE_AGAIN, untested)
     if within is not None:
         bound = phrase(COMES_BACK_WITHIN, within / MICROMETRE, within / radius / ARCSEC, shown)
-    every = listed([text for text in (why, beside, bound) if text])
+    every = join_texts([text for text in (why, beside, bound) if text])
     return Protection("tangential motion", "not protected", every)
