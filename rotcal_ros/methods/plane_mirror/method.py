@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.capture.decisions import decide_by_points, mean_point
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.compact import mapped, written
@@ -359,7 +359,8 @@ METHOD: Final = Method(
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
-        {kind: points(mean_point) for kind in KINDS.values()}, lambda _plan: (TrackerCheck(),)
+        {kind: decide_by_points(mean_point) for kind in KINDS.values()},
+        lambda _plan: (TrackerCheck(),),
     ),
     solve=solve,
     model_of_curves=lambda *measured: _model_of_curves(measured[0], _problem(*measured)[0]),
