@@ -292,6 +292,6 @@ def changed_limits(changes: Sequence[str]) -> ReadingLimits:
     return settings_from_changes(ReadingLimits, _GROUP, changes, load_yaml)
 
 
-def refusal(what: str, setting_name: str, least: int) -> str:
+def limit_refusal(what: str, setting_name: str, least: int) -> str:
     """Return the words for something beyond a limit: what it is, and what lets it pass."""
     return f"{what}; --set reading.{setting_name}={least} of rotcal bag repair lets it pass"

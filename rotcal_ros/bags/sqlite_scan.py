@@ -155,7 +155,7 @@ class Database:
 
 
 @contextmanager
-def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Database]:
+def open_database(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Database]:
     """Open ``path`` for reading; texts come as bytes. Raises BagError when that is impossible.
 
     A journal or write-ahead log that was left beside it belongs to the data, but sqlite3 writes
@@ -254,7 +254,7 @@ class SqliteScan(Scan):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the messages in the order of log times, those of a damaged file by their ids."""
-        with opened(self.path, self._limits) as database:
+        with open_database(self.path, self._limits) as database:
             self._size = self.path.stat().st_size
             self._plain_size = database.file.stat().st_size
             self._unpacker = Unpacker(self._limits, self._size)

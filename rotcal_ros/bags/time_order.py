@@ -27,7 +27,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.bags.blocks import HEADER_TYPE, Block, gather
+from rotcal_ros.bags.blocks import HEADER_TYPE, Block, gather_rows
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.names import run_number
@@ -318,7 +318,9 @@ def times_of(block: Block, rows: Ints, decoder: Decoder) -> NDArray[np.int64]:
     if decoder.begins_with_header:
         long = np.flatnonzero(block.size[rows] >= _STAMP_AT + 8)
         raw = np.frombuffer(block.data, np.uint8)
-        stamps = gather(raw, block.start[rows[long]] + _STAMP_AT, 8).view("<u4").astype(np.int64)
+        stamps = (
+            gather_rows(raw, block.start[rows[long]] + _STAMP_AT, 8).view("<u4").astype(np.int64)
+        )
         stamped_ns = stamps[:, 0] * 1_000_000_000 + stamps[:, 1]
         times[STAMP, long] = np.where(stamped_ns > 0, stamped_ns, -1)
     return times
@@ -352,7 +354,7 @@ class _Group:
 
     def __init__(self, sort_by: int, wanted: Mapping[ChannelDefinition, Decoder]) -> None:
         self.scans: list[Scan] = []
-        self._sorting = Sorting()
+        self._sorting = BlockSorter()
         self._sort_by = sort_by
         self._wanted = wanted
         self._numbers: dict[ChannelDefinition, int] = {}
@@ -396,7 +398,7 @@ _ROW: Final = np.dtype(
 )
 
 
-class Sorting:
+class BlockSorter:
     """Sorts the messages of blocks by a key that each has; those of equal key keep their order.
 
     The messages wait in temporary files; the sorting takes 24 bytes of memory for each.

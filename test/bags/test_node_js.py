@@ -4,7 +4,7 @@ import pytest
 from bag_readers import on_node_js
 from bag_samples import simulate, write_run, writer_settings
 
-from rotcal_ros.bags.interrupted_files import open_end
+from rotcal_ros.bags.interrupted_files import find_unclosed_end
 from rotcal_ros.bags.reader import check_files
 from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
 
@@ -45,7 +45,7 @@ def test_a_file_closed_after_an_interruption_is_read_like_any(run_bag, tmp_path)
     path = tmp_path / "killed_0.mcap"
     path.write_bytes(data[: len(data) // 2])
     (verdict,) = check_files((path,))
-    end = open_end(verdict)
+    end = find_unclosed_end(verdict)
     end.close("killed_1.mcap")
     found = on_node_js(path)
     assert {topic: len(values) for topic, values in found.items()} == {

@@ -1,4 +1,4 @@
-"""Sorting messages by a time without holding them all."""
+"""BlockSorter messages by a time without holding them all."""
 
 import tracemalloc
 
@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.bags import time_order
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
-from rotcal_ros.bags.time_order import Sorting
+from rotcal_ros.bags.time_order import BlockSorter
 
 
 def blocks_of(keys, payloads, per_block):
@@ -33,7 +33,7 @@ def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(
     rng = np.random.default_rng(8)
     keys = rng.integers(0, 60, 300)
     payloads = [bytes(rng.integers(0, 256, rng.integers(0, 90), np.uint8)) for _ in keys]
-    sorting = Sorting()
+    sorting = BlockSorter()
     for block, mine in blocks_of(keys, payloads, per_block):
         sorting.add(block, mine)
     found = [
@@ -45,11 +45,11 @@ def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(
 
 
 def test_nothing_gives_nothing():
-    assert list(Sorting().blocks()) == []
+    assert list(BlockSorter().blocks()) == []
 
 
 def test_messages_without_a_payload_are_sorted():
-    sorting = Sorting()
+    sorting = BlockSorter()
     for block, mine in blocks_of(np.array([3, 1, 2]), [b""] * 3, 2):
         sorting.add(block, mine)
     (block,) = sorting.blocks()
@@ -62,7 +62,7 @@ def test_messages_wait_on_the_disk():
     rng = np.random.default_rng(2)
     payload = bytes(1000)
     tracemalloc.start()
-    sorting = Sorting()
+    sorting = BlockSorter()
     for _ in range(30):  # 30 MB
         for block, keys in blocks_of(rng.integers(0, 1 << 40, 1000), [payload] * 1000, 1000):
             sorting.add(block, keys)

@@ -34,7 +34,7 @@ from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
 from rotcal_ros.bags.settings import RecorderSettings, TopicSettings
-from rotcal_ros.bags.topic_roles import CalledOtherwise
+from rotcal_ros.bags.topic_roles import TopicRoleFinder
 from rotcal_ros.capture.instruments.conventions import OWN, Conventions, single_shots
 from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.capture.messages import stamp_ns
@@ -107,7 +107,7 @@ class RecorderNode(CellNode):
         self.offer(StartRecording, "continue_recording", self._go_on)
         self.offer(StopRecording, "stop_recording", self._stop, always=True)
         self.offer(Trigger, "recorded_observations", self._session.tell)
-        self._called = CalledOtherwise(self.get_namespace())
+        self._called = TopicRoleFinder(self.get_namespace())
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         heard = self._take, self._dropouts.note, self._called.topics.values
         self._listener = TopicListener(self, *heard, fast=self._is_fast)
@@ -514,7 +514,7 @@ class Receipts:
     def __init__(
         self,
         node: CellNode,
-        called: CalledOtherwise,
+        called: TopicRoleFinder,
         listener: TopicListener,
         session: RecordedSession,
     ) -> None:

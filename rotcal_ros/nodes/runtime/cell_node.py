@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.messages import Orders
+from rotcal_ros.capture.messages import OrderPairing
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.machine_load import WaitBudget
 from rotcal_ros.foundation.node_state import NodeState
@@ -170,9 +170,9 @@ class CellNode(ManagedNode, ABC):
 
         self.executor.create_task(do)
 
-    def take_orders(self, obey: Callable[[Command], None]) -> Orders:
+    def take_orders(self, obey: Callable[[Command], None]) -> OrderPairing:
         """Call ``obey`` with every complete order; return the waiting halves (table, probe)."""
-        orders = Orders()
+        orders = OrderPairing()
 
         def listen(kind: type, topic: str, take: Callable[[Any], Command | None]) -> None:
             def handle(message: Any) -> None:
