@@ -46,9 +46,10 @@ PLACE = ROOT / "out" / "endurance"
 LINES = PLACE / "sessions.jsonl"
 HISTORY = ("-m", "rotcal_ros.cli.main", "history", "--database", str(PLACE / "history.db"))
 DEADLINE_S = 1200.0
+TABLE = ("identity.serial=endurance",)
 BEGUN_S = (8.0, 25.0)
 """A trouble begins so long after a session."""
-FULL_S, DISK = 15.0, "64m"
+FULL_S, DISK = 15.0, "200m"
 GROWTH = 1.2
 """Most that the last third of the sessions may need of what the first third needs."""
 Trouble = Callable[["Session"], None]
@@ -66,7 +67,7 @@ class Session:
 
     def run(self, *more: str) -> tuple[int, str]:
         """Calibrate; return exit code and the output; -1 for a session that did not end."""
-        command = [*command_of(self.method), *more]
+        command = [*command_of(self.method, TABLE), *more]
         process = subprocess.Popen(
             command, cwd=ROOT, env=self.environment, text=True, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -74,7 +75,8 @@ class Session:
         self.nodes = Nodes(process.pid, self.generator, stops="stops" in self.noted)
         try:
             out, error = process.communicate(timeout=DEADLINE_S)
-            self.noted["error"] = error.strip().splitlines()[-1:]
+            if process.returncode:
+                self.noted["error"] = error.strip().splitlines()[-1:]
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
@@ -179,7 +181,7 @@ def possible() -> list[str]:
     return [name for name in TROUBLES if can.get(name, True)]
 
 
-def one(method: str, name: str, generator: random.Random) -> dict[str, Any]:
+def calibrated(method: str, name: str, generator: random.Random) -> dict[str, Any]:
     """Calibrate under a trouble; continue what was broken off; return what came of it."""
     begin, quiet = time.monotonic(), PLACE / f"{method}.json"
     with tempfile.TemporaryDirectory(prefix="endurance") as text:
@@ -201,9 +203,9 @@ def one(method: str, name: str, generator: random.Random) -> dict[str, Any]:
                 "mb": {n: round(s[-1][1]) for n, s in session.nodes.memory.items()},
             }  # fmt: skip
             if code in (0, 1) and out.startswith("{"):
-                answer = json.loads(out)
-                found |= {"verdict": answer["verdict"], "reasons": answer["warnings"][:3]}
                 result = folder / "result.json"
+                stored = json.loads(result.read_text())
+                found |= {"verdict": stored["verdict"], "reasons": stored["warnings"][:3]}
                 if name == "none" and not quiet.exists():
                     quiet.write_bytes(result.read_bytes())
                 if quiet.exists():
@@ -240,8 +242,8 @@ def summary(done: list[dict[str, Any]]) -> Iterator[str]:
         of_it = [found for found in done if found["trouble"] == name]
         counts = Counter(found.get("verdict") or "refused" for found in of_it)
         broken_off = sum(found["runs"] > 1 for found in of_it)
-        told = ", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items()))
-        yield f"{name}: {len(of_it)} sessions, {broken_off} broken off and continued; {told}"
+        ended = ", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items()))
+        yield f"{name}: {len(of_it)} sessions, {broken_off} broken off and continued; {ended}"
     needs = defaultdict[str, list[float]](list)
     for found in done:
         for node, megabytes in found["mb"].items():
@@ -279,8 +281,10 @@ def main() -> int:
     ):
         number = len(done)
         method = asked.methods[number % len(asked.methods)]
-        name = troubles[number // len(asked.methods) % len(troubles)]
-        done.append(one(method, name, generator))
+        name = troubles[(number + number // len(asked.methods)) % len(troubles)]
+        if not (PLACE / f"{method}.json").exists():
+            name = "none"  # what the others are held against
+        done.append(calibrated(method, name, generator))
         with LINES.open("a") as file:
             file.write(json.dumps(done[-1]) + "\n")
         print(json.dumps(done[-1]), flush=True)
