@@ -244,6 +244,13 @@ class Kernel(ABC):
             found[:, here] = outputs.times(self.times(rows.T))
         return found
 
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return N (o, k) of few entries a row, L (o, r) and M (r, r): NN' + LML' is the same.
+
+        None where there are none.
+        """
+        return None
+
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
@@ -468,6 +475,14 @@ class Updated(Kernel):
         low, own = outputs.times(self.columns), outputs.of_first(len(self.base.directions))
         return np.asarray(self.base.covariance_of(own) + (low @ self.core) @ low.T)
 
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return the parts of the base, and what the columns add."""
+        parts = self.base.parts_of(outputs.of_first(len(self.base.directions)))
+        if parts is None:
+            return None
+        near, low, core = parts
+        return near, np.hstack([low, outputs.times(self.columns)]), block_diag(core, self.core)
+
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
@@ -568,10 +583,12 @@ class Defined(Kernel):
 
         The last one is kept with the base.
         """
-        last = base.defined_last
-        if not last or last[0][0] is not definitions:
-            last[:] = [(definitions, cls._of(base, definitions))]
-        return last[0][1]
+        for asked, kept in base.defined_last:
+            if asked is definitions:
+                return kept
+        found = cls._of(base, definitions)
+        base.defined_last[:] = [(definitions, found)]
+        return found
 
     @classmethod
     def _of(cls, base: Kernel, definitions: Floats) -> Defined:
@@ -642,6 +659,10 @@ class Defined(Kernel):
     def covariance_of(self, outputs: Outputs) -> Floats:
         """Return the covariance (o, o) of ``outputs``."""
         return self.base.covariance_of(outputs.fixed(self.fixing, self.rows))
+
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return the parts of the base, of outputs that keep the definitions."""
+        return self.base.parts_of(outputs.fixed(self.fixing, self.rows))
 
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
