@@ -38,7 +38,8 @@ MADE = {
 """Files of the site that scripts make: the script, and its function."""
 LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)\s#]+)(?P<anchor>#[^)]*)?\)")
 COMMANDS = "command_line.md"
-CONTROLLERS = "controllers.md"
+FILLED = {"controllers.md": "controllers_page.py", "result_json.md": "result_schema.py"}
+"""Pages with places that the function ``filled`` of a script fills."""
 REFERENCE = """
 ::: mkdocs-click
     :module: rotcal_ros.cli.main
@@ -91,10 +92,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         leads = posixpath.relpath(place, posixpath.dirname(uri))
         return f"[{link['text']}]({leads}{link['anchor'] or ''})"
 
-    if uri == CONTROLLERS:
-        markdown = runpy.run_path(str(ROOT / "scripts" / "controllers_page.py"))["filled"](
-            markdown
-        )
+    if script := FILLED.get(uri):
+        markdown = runpy.run_path(str(ROOT / "scripts" / script))["filled"](markdown)
     return LINK.sub(moved, markdown) + (REFERENCE if uri == COMMANDS else "")
 
 

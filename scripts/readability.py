@@ -15,8 +15,6 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLES = {"result_json.md"}
-"""Pages that are nearly all tables."""
 LONGEST = 35
 """Words of a sentence; a longer one is read twice."""
 
@@ -31,7 +29,7 @@ _WORD = re.compile(r"[^\W_]")
 
 def pages() -> list[Path]:
     """Return the pages of the site that people wrote."""
-    return sorted(page for page in (ROOT / "docs").rglob("*.md") if page.name not in TABLES)
+    return sorted((ROOT / "docs").rglob("*.md"))
 
 
 def sentences(text: str) -> list[str]:

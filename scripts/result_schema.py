@@ -1,11 +1,13 @@
-"""Prints the JSON Schema of results, from the tables of docs/result_json.md and from the code.
+"""Prints the JSON Schema of results, from result_fields.csv and from the code.
 
-The page states field, shape, unit and meaning; names that a field chooses among, and the group
-identity, come from the dataclasses. The keyword ``unit`` is an annotation of our own.
+The table states field, shape, unit and meaning, and becomes those of docs/result_json.md; names
+that a field chooses among, and the group identity, come from the dataclasses. The keyword
+``unit`` is an annotation of our own.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections.abc import Iterable, Iterator
@@ -18,7 +20,10 @@ from rotcal_ros.foundation.identity import Identity, InstrumentIdentity, Instrum
 from rotcal_ros.foundation.protection import ALL_EFFECTS, TREATMENTS
 from rotcal_ros.foundation.results import COUNTS_FROM, SCHEMA, Verdict
 
-PAGE = Path(__file__).parents[1] / "docs" / "result_json.md"
+FIELDS = Path(__file__).with_name("result_fields.csv")
+HERE = "<!-- `make docs` puts the fields of {} here -->"
+"""Where the page has their tables."""
+HEAD = "| field | shape | unit | when | meaning |\n| --- | --- | --- | --- | --- |\n"
 KINDS: dict[str, Any] = {
     "number": "number", "whole": "integer", "text": "string", "flag": "boolean",
     "argument": ["number", "string", "boolean", "object"],
@@ -74,16 +79,41 @@ class Field:
 
 
 def documented() -> list[Field]:
-    """Return all fields of the page, in its order."""
-    found, methods = list[Field](), tuple[str, ...]()
-    for line in PAGE.read_text(encoding="utf-8").splitlines():
-        if line.startswith("### "):
-            methods = tuple(re.findall("`([a-z_]+)`", line))
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("| `") and len(cells) == 5:
-            paths = [path.strip(" `") for path in cells[0].split(",")]
-            found += [Field(methods, path, *cells[1:]) for path in paths]
-    return found
+    """Return all fields, in their order."""
+    return [
+        Field(tuple(row["methods"].split()), path, *_rest(row))
+        for row in _rows()
+        for path in row["fields"].split(", ")
+    ]
+
+
+def filled(page: str) -> str:
+    """Return the page with the tables of the fields; ValueError where it has no place for them."""
+    parts = dict[str, list[str]]()
+    for row in _rows():
+        names = ", ".join(f"`{path}`" for path in row["fields"].split(", "))
+        line = f"| {' | '.join([names, *_rest(row)])} |\n"
+        parts.setdefault(row["methods"], [HEAD]).append(line)
+    every = "".join(parts.pop(""))
+    details = "\n".join(
+        f"### {', '.join(f'`{name}`' for name in methods.split())}\n\n{''.join(lines)}"
+        for methods, lines in parts.items()
+    )
+    for what, text in {"every result": every, "details": details}.items():
+        place = HERE.format(what)
+        if place not in page:
+            raise ValueError(f"result_json.md has no line {place}")
+        page = page.replace(place, text)
+    return page
+
+
+def _rows() -> list[dict[str, str]]:
+    with FIELDS.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _rest(row: dict[str, str]) -> tuple[str, str, str, str]:
+    return row["shape"], row["unit"], row["when"], row["meaning"]
 
 
 def schema() -> dict[str, Any]:
@@ -111,7 +141,7 @@ def schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "result.json of rotcal",
-        "description": "SI; made by scripts/result_schema.py from docs/result_json.md.",
+        "description": "SI; made by scripts/result_schema.py.",
         **whole,
         "$defs": {
             method: _object((field.path, field) for field in mine) for method, mine in own.items()

@@ -258,3 +258,11 @@ def test_every_field_has_words_and_every_number_a_unit():
         base64 = field.path.startswith("raw_data.influence.deviations")
         assert bool(field.unit) == (number or base64), field.path
     assert set(COMPONENTS) == set(SCHEMA["properties"]["std"]["propertyNames"]["enum"])
+
+
+def test_the_page_lists_every_field():
+    page = SCRIPT["filled"]((ROOT / "docs" / "result_json.md").read_text("utf-8"))
+    cells = {cell for row in page.splitlines() if row.startswith("| `") for cell in row.split("`")}
+    assert {field.path for field in SCRIPT["documented"]()} <= cells
+    with pytest.raises(ValueError, match="no line"):
+        SCRIPT["filled"]("# A page without the places of the tables")
