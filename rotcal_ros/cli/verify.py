@@ -237,6 +237,10 @@ def _print_side_by_side(verification: Verification) -> None:
           for name, run in (("before", before), ("after", after))),
     ])  # fmt: skip
     _print(verification, print_words)
+    if not (verification.shared and verification.stated):
+        print_words(
+            "to state: --shared-u ARCSEC, an error of both; --table FOLDER, what was loaded"
+        )
 
 
 def _loaded(folder: Path, files: Sequence[Path]) -> bool:

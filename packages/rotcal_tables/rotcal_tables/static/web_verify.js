@@ -39,7 +39,7 @@ function refused(error) {
 }
 const stating = (setting, value) => `${setting}=${setting === "sheet.columns" ? JSON.stringify([value]) : value}`;
 function show({ verdict, words, rows }) {
-  const lines = element("ul", "", "lines"), marks = element("p", "", "marks");
+  const lines = element("ul", "", "small"), marks = element("p", "", "marks");
   marks.append(element("span", VERDICTS[verdict], `mark ${verdict}`));
   lines.append(...words.map((line) => element("li", say(line))));
   const table = grid(t("Deviations before and after, arcsec"), [t("angle / °"), t("before"), t("after")], rows, true);
