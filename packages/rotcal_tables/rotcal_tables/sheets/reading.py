@@ -82,7 +82,7 @@ from rotcal_tables.sheets.words import (
 
 _OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
 """Columns as messages call them."""
-_SMALL: Final = ("arcsec", "urad", "deg")
+_SMALL: Final = ("arcsec", "urad", "mrad", "deg")
 _NO_ANGLE: Final = 400
 """More in a column of angles are hardly degrees or gons of a turn, and may be counts."""
 _USUAL: Final = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
