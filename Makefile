@@ -20,7 +20,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power yardstick data-set mutants fuzz soak lint release compare-release setup clean help
+.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power yardstick data-set mutants fuzz soak endurance lint release compare-release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -72,6 +72,9 @@ fuzz: setup  ## harm inputs and see that reading holds: SECONDS=3600 SEED=1 FUZZ
 
 soak: setup  ## calibrate beside a busy machine, nodes standing still: SOAK_ARGS="--minutes 10"
 	@$(BIN)/python scripts/soak.py $(SOAK_ARGS)
+
+endurance: setup  ## calibrate for hours with kills, full disks, clock jumps: ENDURANCE_ARGS="--minutes 10"
+	@$(BIN)/python scripts/endurance.py $(ENDURANCE_ARGS)
 
 lint: setup  ## style, types, and which package may import which
 	$(BIN)/ruff check .

@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "bags"))
-from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate
+from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate, writer_settings
 
 from rotcal_history.fleet.batch_solving import Job
 from rotcal_history.fleet.workers import on_all_cores
@@ -158,9 +158,7 @@ def cell_bag(folder: Path, configuration: str, size: float) -> Path:
 
     Every reading is another one, so that there is something to unpack and to decode.
     """
-    writer, channels = open_writer(
-        folder, WriterSettings(min_free_bytes=0, chunk_bytes=1 << 20), configuration
-    )
+    writer, channels = open_writer(folder, writer_settings(chunk_bytes=1 << 20), configuration)
     run = simulate(configuration)
     messages = [pair for record in run.records for pair in encode(record)]
     ((role, data),) = encode(TracerSample(START_NS, 0, 0.5, 1e-7, LengthStatus.OK))

@@ -17,7 +17,7 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
-from rotcal_ros.evaluation.power import Bench, PowerRow, power_rows
+from rotcal_ros.evaluation.power import PowerBench, PowerRow, power_rows
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.protection import ALL_EFFECTS, POWER, TOLERABLE
 from rotcal_ros.methods import prepare, read_configuration
@@ -79,7 +79,7 @@ def main() -> int:
     chosen = parser.parse_args()
     misleading = []
     for plan in plans_of(chosen.method or METHODS):
-        bench = Bench(prepare(read_configuration(plan)), chosen.runs)
+        bench = PowerBench(prepare(read_configuration(plan)), chosen.runs)
         listed = {d.effect for d in bench.listed()}
         if chosen.effect and not listed & set(chosen.effect):
             continue
@@ -110,7 +110,7 @@ def title_of(plan: Path) -> str:
     return first.removeprefix("# ") if first.startswith("# ") else plan.stem
 
 
-def _section(bench: Bench, rows: list[PowerRow]) -> str:
+def _section(bench: PowerBench, rows: list[PowerRow]) -> str:
     """Return the table of one method, and what each effect is."""
     plan = bench.calibration.plan
     result = bench.plain(0)

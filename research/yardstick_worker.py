@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from rotcal_ros.evaluation.power import Bench
+from rotcal_ros.evaluation.power import PowerBench
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.results import Result
@@ -39,9 +39,9 @@ COMMAND: Final = (sys.executable, "-c", "from rotcal_ros.cli.start import main; 
 
 
 @lru_cache(maxsize=2)
-def bench(plan: str, runs: int) -> Bench:
+def bench(plan: str, runs: int) -> PowerBench:
     """Return the bench of a plan's file."""
-    return Bench(prepare(read_configuration(Path(plan))), runs)
+    return PowerBench(prepare(read_configuration(Path(plan))), runs)
 
 
 def sound(job: Answer) -> Answer:

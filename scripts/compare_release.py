@@ -78,13 +78,11 @@ def commands(out: Path) -> tuple[dict[str, list[str]], dict[str, str]]:
     """Return all golden commands, tables of controllers into ``out``, and their arithmetic."""
     sys.path.append(str(GOLDEN))
     golden = runpy.run_path(str(GOLDEN / "test_golden.py"))
-    export = ("export", "table_balls/table/result.json", "--axis", "C", "--accept-unverified")
     found = dict(golden["SOLVED"])
-    for folder in sorted((GOLDEN / "exported").iterdir()):
-        words, name = [*export, "--to", folder.name], folder.name
+    for name, words in golden["EXPORTED"].items():
+        held = f"exported/{name}"
         found[f"{name} written"] = [*words, "--replace", "-o", str(out / f"{name} written")]
-        added = str(out / f"{name} in force")
-        found[f"{name} in force"] = [*words, "--add-to", str(folder), "-o", added]
+        found[f"{name} in force"] = [*words, "--add-to", held, "-o", str(out / f"{name} in force")]
     return found, golden["ARITHMETIC"]
 
 

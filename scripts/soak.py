@@ -23,7 +23,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,9 @@ SESSIONS = {
     "plane_mirror": ("plane_mirror_demo",),
     "tracer_six": ("tracer_six_demo", "plan.table_positions=6", "plan.table_step_deg=60.0",
                    "plan.box_points=[3, 2, 2]"),
+    "tracer_turning": ("tracer_turning_demo",),
+    "table_balls": ("table_balls_demo",),
+    "angle_comparison": ("angle_comparison_demo",),
 }  # fmt: skip
 """Method -> configuration and changes that make its plan short."""
 
@@ -85,7 +88,7 @@ class Nodes:
         for thread in self._threads:
             thread.join()
 
-    def _found(self) -> dict[str, int]:
+    def found(self) -> dict[str, int]:
         """Return name -> process id."""
         found = {}
         for folder in Path("/proc").glob("[0-9]*"):
@@ -98,7 +101,7 @@ class Nodes:
 
     def _stop(self) -> None:
         while self._stops and not self._ended.wait(self._generator.uniform(*EVERY_S)):
-            nodes = self._found()
+            nodes = self.found()
             if not nodes:
                 continue
             pid = nodes[self._generator.choice(sorted(nodes))]
@@ -110,7 +113,7 @@ class Nodes:
 
     def _follow(self) -> None:
         while not self._ended.wait(1.0):
-            for name, pid in self._found().items():
+            for name, pid in self.found().items():
                 with suppress(OSError, IndexError, StopIteration):
                     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
                     kilobytes = next(line for line in lines if line.startswith("VmRSS")).split()[1]
@@ -118,15 +121,19 @@ class Nodes:
                     self.memory.setdefault(name, []).append(at)
 
 
+def command_of(method: str, more: Sequence[str] = ()) -> list[str]:
+    """Return the command that calibrates, but for its folder."""
+    name, *changes = *SESSIONS[method], *more
+    sets = [part for change in changes for part in ("--set", change)]
+    return [sys.executable, "-m", "rotcal_ros.cli.main", "run", f"config/{name}.yaml", *sets,
+            "--yes", "--json", "--no-report", "--no-export", "--no-page"]  # fmt: skip
+
+
 def session(
     method: str, folder: Path, per_core: int, generator: random.Random, more: list[str]
 ) -> dict[str, Any]:
     """Calibrate once, with ``more`` changed settings; return what came of it."""
-    name, *changes = *SESSIONS[method], *more
-    sets = [part for change in changes for part in ("--set", change)]
-    command = [sys.executable, "-m", "rotcal_ros.cli.main", "run", f"config/{name}.yaml", *sets,
-               "-o", str(folder), "--yes", "--json", "--no-report", "--no-export",
-               "--no-page"]  # fmt: skip
+    command = [*command_of(method, more), "-o", str(folder)]
     begin = time.monotonic()
     with busy(per_core):
         process = subprocess.Popen(

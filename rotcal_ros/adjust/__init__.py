@@ -16,7 +16,7 @@ B = C N^-1 J' of the outputs, group by group:
 3. :func:`~.judgement.judge` says how probably something gathers in one of them. Where this is
    ``proved``, :func:`~.judgement.blame` of its ``worst`` group says which elements to leave
    out: the method drops those rows, adjusts again, and asks again.
-4. What rivals explain as well, ``Blame.covariance``, and what is probable but not proved,
+4. What rivals explain as well, ``Blame.root``, and what is probable but not proved,
    ``Judgement.covariance``, is added to the covariance of the outputs. A verdict is "suspect"
    where something was blamed, all the more where that is ``ambiguous``.
 5. :func:`~.reliability.hidden` says how large an error may stay unseen: a protection.

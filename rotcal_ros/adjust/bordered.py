@@ -114,6 +114,14 @@ class FewEach(Design):
         found[which >= n] = self.known[which[which >= n] - n]
         return np.hstack([found, self.columns[which]])
 
+    def some_times(self, which: Ints, x: Floats) -> Floats:
+        """Return some rows times ``x`` (p + q, k)."""
+        n, p = self.few.shape
+        found = np.empty((len(which), x.shape[1]))
+        found[which < n] = self.few[which[which < n]] @ x[:p]
+        found[which >= n] = self.known[which[which >= n] - n] @ x[:p]
+        return found if self.extra is None else found + self.extra[which] @ x[p:]
+
     def beside(self, rows: Floats | csr_array) -> FewEach:
         """Return the design with further ``rows`` (k, p) at its end."""
         if isinstance(rows, csr_array) and not len(self.known):
@@ -456,13 +464,20 @@ class Bordered(Kernel):
 
     def covariance_of(self, outputs: Outputs) -> Floats:
         """Return the covariance (o, o) of ``outputs``."""
-        if _dense(outputs):
+        parts = self.parts_of(outputs)
+        if parts is None:
             return super().covariance_of(outputs)
-        influence = self._influence_on(outputs)
-        root, core = influence.spread(self._signs)
-        found, own = (root @ core) @ root.T, coo_array(influence.own @ influence.own.T)
+        near, root, core = parts
+        found, own = (root @ core) @ root.T, coo_array(near @ near.T)
         found[own.coords] += own.data
         return np.asarray(found)
+
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return what outputs feel of their own unknowns, and of those in common."""
+        if _dense(outputs):
+            return None
+        influence = self._influence_on(outputs)
+        return influence.own, *influence.spread(self._signs)
 
     def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` (o,) by few numbers.

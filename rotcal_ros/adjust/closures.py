@@ -19,6 +19,7 @@ from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Disturbing, KnownRelation, Steps
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.compact import Spread, difference_variance
 from rotcal_ros.foundation.units import TURN
 
 MISSED: Final = 1e-7
@@ -48,7 +49,7 @@ class Closure:
 def closures(
     angles: Floats,
     deviations: Floats,
-    covariance: Floats,
+    covariance: Spread,
     position_ids: Ints,
     upward: Bools | None = None,
 ) -> tuple[Closure, ...]:
@@ -58,24 +59,11 @@ def closures(
     (m,). ``upward`` (m,): from which side the table came; what differs between the sides is a
     reversal.
     """
-    found = []
-    for first, last in coming_again(angles, upward):
-        variance = float(difference_variance(covariance, first, last))
-        found.append(
-            Closure(
-                first=int(position_ids[first]),
-                last=int(position_ids[last]),
-                error=float(deviations[last] - deviations[first]),
-                std=float(np.sqrt(variance)),
-            )
-        )
-    return tuple(found)
-
-
-def difference_variance(covariance: Floats, first: int | Ints, last: int | Ints) -> Floats:
-    """Return the variances (q,) of what rows ``first`` and ``last`` (q,) differ by."""
-    both = covariance[first, first] + covariance[last, last]
-    return np.asarray(np.maximum(both - 2.0 * covariance[first, last], 0.0))
+    pairs = np.array([*coming_again(angles, upward)], dtype=np.int64).reshape(-1, 2)
+    std = np.sqrt(difference_variance(covariance, pairs[:, 0], pairs[:, 1]))
+    apart = deviations[pairs[:, 1]] - deviations[pairs[:, 0]]
+    each = zip(position_ids[pairs].tolist(), apart.tolist(), std.tolist(), strict=True)
+    return tuple(Closure(first, last, error, own) for (first, last), error, own in each)
 
 
 def coming_again(angles: Floats, upward: Bools | None = None) -> Iterator[tuple[int, int]]:

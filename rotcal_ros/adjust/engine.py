@@ -48,6 +48,14 @@ from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.observable import seen_of
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.compact import (
+    FULL,
+    CompactCovariance,
+    Covariances,
+    Spread,
+    variances_of,
+    written,
+)
 from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
@@ -161,18 +169,30 @@ class Adjusted:
         Where the noise was estimated from few residuals, 1.96 of its standard uncertainties hold
         95 % as those of Student's t do.
         """
-        return self._covariance_of(slice(len(self.model.outputs)))
+        return written(self.spread)
 
-    def _covariance_of(self, part: slice) -> Floats:
-        """Return the covariance of a ``part`` of the outputs."""
-        few = (self.scale * self._student)[part]
+    @cached_property
+    def spread(self) -> Spread:
+        """The same in the form in which it is kept."""
+        return self._spread_of(slice(len(self.model.outputs)))
+
+    def _spread_of(self, part: slice) -> Spread:
+        """Return the covariance of a ``part`` of the outputs, compact where these are many."""
+        few, gathers = (self.scale * self._student)[part], self.diagnosis.gathering.covariance()
+        compact = self.fit.compact(part) if len(few) > FULL else None
+        if compact is not None and not isinstance(gathers, np.ndarray):
+            compact = compact.scaled(few)
+            for changes in self._probable:
+                compact = compact.plus(CompactCovariance.shared(changes[part]))
+            return compact if gathers is None else compact.plus(gathers.part(part))
         total = self.fit.covariance(part)
         total *= few[:, None]
         total *= few
         for changes in self._probable:
             total += changes[part] @ changes[part].T
-        gathers = self.diagnosis.gathering.covariance()
-        return total if gathers is None else np.add(total, gathers[part, part], out=total)
+        if gathers is None:
+            return total
+        return np.add(total, written(gathers)[part, part], out=total)
 
     @cached_property
     def _probable(self) -> list[Floats]:
@@ -246,7 +266,7 @@ class Adjusted:
         for changes in self._probable:
             variance = variance + (changes**2).sum(axis=1)
         gathers = self.diagnosis.gathering.covariance()
-        return np.sqrt(variance if gathers is None else variance + gathers.diagonal())
+        return np.sqrt(variance if gathers is None else variance + variances_of(gathers))
 
     @property
     def counting_std(self) -> Floats:
@@ -313,7 +333,7 @@ class Adjusted:
         causes += self._probable
         gathers = self.diagnosis.gathering.covariance()
         if gathers is not None:
-            values, vectors = np.linalg.eigh(gathers)
+            values, vectors = np.linalg.eigh(written(gathers))
             # of all roots the one that no sign of a vector, and no order of equals, changes
             causes.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
         beside = np.concatenate(causes, axis=1)[:size]
@@ -362,12 +382,14 @@ class Adjusted:
             angles=angles,
             deviations={name: self.value[part] for name, part in components.items()},
             std={name: self.std[part] for name, part in components.items()},
-            covariance={
-                name: self.covariance if part == slice(None) else self._covariance_of(part)
-                for name, part in components.items()
-            }
-            if kept
-            else {},
+            covariance=Covariances(
+                {
+                    name: self.spread if part == slice(None) else self._spread_of(part)
+                    for name, part in components.items()
+                }
+                if kept
+                else {}
+            ),
             sigma0=self.sigma0,
             dof=self.fit.dof,
             n_observations=len(places[0]),

@@ -166,7 +166,8 @@ def shifts_of_each(groups: Sequence[Group], subsets: Sequence[Bools]) -> list[Hy
             alike.setdefault(group.size, []).append(k)
     for size, every in alike.items():
         many = max(len(subsets[k]) for k in every)
-        for some in np.array_split(every, -(-len(every) * many * size // MOST_NUMBERS)):
+        parts = min(-(-len(every) * many * size // MOST_NUMBERS), len(every))
+        for some in np.array_split(every, parts):
             part = np.zeros((len(some), many, size))
             for at, k in enumerate(some.tolist()):
                 part[at, : len(subsets[k])] = subsets[k]

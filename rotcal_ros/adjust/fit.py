@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import block_diag, lapack
 
 from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
@@ -17,6 +17,7 @@ from rotcal_ros.adjust.outputs import FEW_ROWS, Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.compact import CompactCovariance
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.foundation.language import phrase
 
@@ -299,6 +300,21 @@ class Fit:
 
     def _plain_covariance(self, part: slice) -> Floats:
         return self.kernel.covariance_of(self.model.output_rows.part(part))
+
+    def compact(self, part: slice) -> CompactCovariance | None:
+        """Return the covariance in the form of few numbers; None where it has none."""
+        rows = self.model.output_rows.part(part)
+        parts = self.kernel.parts_of(rows)
+        if parts is None:
+            return None
+        near, low, core = parts
+        for alone, spread in self._spread:
+            sign = np.repeat([1.0, -1.0], [spread.shape[1], alone.shape[1]])
+            low, core = (
+                np.hstack([low, spread[part], alone[part]]),
+                block_diag(core, np.diag(sign)),
+            )
+        return CompactCovariance.of(near, low, core).scaled(np.where(rows.idle, 0.0, 1.0))
 
     @cached_property
     def _plain_variance(self) -> Floats:

@@ -17,6 +17,7 @@ from rotcal_ros.adjust.distributions import binomial_quantile, sidak
 from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, group_test
 from rotcal_ros.adjust.judgement import Blame, Judgement, judge
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.compact import FULL, CompactCovariance, Spread
 from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 
 if TYPE_CHECKING:
@@ -84,12 +85,18 @@ class Gathering:
         """Return it with ``case`` left out, too."""
         return replace(self, blamed=(*self.blamed, case))
 
-    def covariance(self) -> Floats | None:
+    def covariance(self) -> Spread | None:
         """Return what they may add to the covariance (o, o) of the outputs; None: nothing."""
-        added = [case.covariance for case in self.blamed]
-        if self.judgement is not None and self.judgement.possible:
-            added.append(self.judgement.covariance())
-        return np.asarray(sum(added[1:], added[0])) if added else None
+        roots = [case.root for case in self.blamed]
+        together = np.hstack(roots) if roots else None
+        if self.judgement is None or not self.judgement.possible:
+            return None if together is None else _products(together)
+        gathers = self.judgement.covariance()
+        if together is None:
+            return gathers
+        if isinstance(gathers, CompactCovariance):
+            return gathers.plus(CompactCovariance.shared(together))
+        return np.asarray(gathers + together @ together.T)
 
 
 def judged(
@@ -216,3 +223,8 @@ def details(gathering: Gathering, elements: str) -> dict[str, Any]:
 def _sign(size: Floats) -> float:
     """Return the sign of a size (1,) along one axis; +1 for the length of several."""
     return -1.0 if size.size == 1 and size[0] < 0.0 else 1.0
+
+
+def _products(root: Floats) -> Spread:
+    """Return ``root`` (o, s) times its transposed, as it is kept."""
+    return CompactCovariance.shared(root) if len(root) > FULL else np.asarray(root @ root.T)

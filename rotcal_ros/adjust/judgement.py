@@ -45,6 +45,7 @@ from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.sensitivity import total
 from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
 from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.compact import Spread
 
 ALIKE: Final = 20.0
 """Likelihood ratio below which two explanations are called nearly as good."""
@@ -122,7 +123,7 @@ class Judgement:
         return found
 
     @cached_property
-    def moments(self) -> tuple[Floats, Floats]:
+    def moments(self) -> tuple[Floats, Spread]:
         """Expected error (o,) of the outputs, and its square (o, o)."""
         outputs = self.groups[0].sensitivity.outputs if self.groups else 0
         return total((each.found.moment(weights) for each, weights in self._weights()), outputs)
@@ -180,7 +181,7 @@ class Judgement:
                 break
         return (1 + exceeded) / (1 + drawn)
 
-    def covariance(self) -> Floats:
+    def covariance(self) -> Spread:
         """Return what the probable errors add to the covariance (o, o) of the outputs."""
         return self.moments[1]
 
@@ -310,8 +311,8 @@ class Blame:
 
     ``subset`` (e,), its ``size`` (c,): by how much its elements are off together, in the unit of
     a shift. ``change`` (o,): what leaving it out does to the outputs. ``rivals`` (q, e), best
-    first, with their ``ratios`` (q,) of likelihood, best to rival; ``covariance`` (o, o): what the
-    choice among all of them adds.
+    first, with their ``ratios`` (q,) of likelihood, best to rival; ``root`` (o, s): of the
+    covariance that the choice among all of them adds.
     """
 
     group: Group
@@ -320,7 +321,7 @@ class Blame:
     change: Floats
     rivals: Bools
     ratios: Floats
-    covariance: Floats
+    root: Floats
 
     @property
     def ambiguous(self) -> bool:
@@ -351,7 +352,6 @@ def blame(group: Group) -> Blame | None:
     change = without(group, part[0])
     likely = probability > 1e-4
     apart = np.array([without(group, subset) - change for subset in part[likely]])
-    covariance = np.einsum("q,qa,qb->ab", probability[likely], apart, apart)
     rivals = [k for k in range(1, len(part)) if _different(part[0], part[k])]
     return Blame(
         group=group,
@@ -360,7 +360,7 @@ def blame(group: Group) -> Blame | None:
         change=change,
         rivals=part[rivals],
         ratios=np.exp(np.minimum(merit[0] - merit[rivals], 700.0)),
-        covariance=covariance,
+        root=apart.T * np.sqrt(probability[likely]),
     )
 
 

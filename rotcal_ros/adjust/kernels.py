@@ -178,6 +178,11 @@ class Kernel(ABC):
         """How many unknowns are determined."""
         return self.design.shape[1] - int(self.directions.shape[1])
 
+    @cached_property
+    def defined_last(self) -> list[tuple[Floats, Defined]]:
+        """The definitions that it was asked with last, and the kernel with these."""
+        return []
+
     @abstractmethod
     def times(self, columns: Floats) -> Floats:
         """Return N^-1 times ``columns`` (p, k)."""
@@ -238,6 +243,13 @@ class Kernel(ABC):
         for here, rows in outputs.parts(len(self.directions)):
             found[:, here] = outputs.times(self.times(rows.T))
         return found
+
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return N (o, k) of few entries a row, L (o, r) and M (r, r): NN' + LML' is the same.
+
+        None where there are none.
+        """
+        return None
 
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
@@ -463,6 +475,14 @@ class Updated(Kernel):
         low, own = outputs.times(self.columns), outputs.of_first(len(self.base.directions))
         return np.asarray(self.base.covariance_of(own) + (low @ self.core) @ low.T)
 
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return the parts of the base, and what the columns add."""
+        parts = self.base.parts_of(outputs.of_first(len(self.base.directions)))
+        if parts is None:
+            return None
+        near, low, core = parts
+        return near, np.hstack([low, outputs.times(self.columns)]), block_diag(core, self.core)
+
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
@@ -502,11 +522,15 @@ class Updated(Kernel):
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
-        share = self.share[rows]
-        found = self.base.among_each(rows) * share[:, :, None] * share[:, None]
+        share, found = self.share[rows], self.base.among_each(rows)
+        if not found.strides[0] and (share == share[0]).all():  # all are alike
+            one = found[0] * share[0, :, None] * share[0]
+            found = np.broadcast_to(one, found.shape)
+        else:
+            found = found * share[:, :, None] * share[:, None]
         if self.columns.shape[1]:
             low = self._low[rows]
-            found += (low @ self.core) @ low.swapaxes(1, 2)
+            found = found + (low @ self.core) @ low.swapaxes(1, 2)
         return np.asarray(found)
 
     def squares_between(self, share: Floats) -> Floats:
@@ -555,7 +579,17 @@ class Defined(Kernel):
 
     @classmethod
     def of(cls, base: Kernel, definitions: Floats) -> Defined:
-        """Return that of a ``base``, with ``definitions`` (g, p') of its first unknowns."""
+        """Return that of a ``base``, with ``definitions`` (g, p') of its first unknowns.
+
+        The last one is kept with the base.
+        """
+        last = base.defined_last
+        if not last or last[0][0] is not definitions:
+            last[:] = [(definitions, cls._of(base, definitions))]
+        return last[0][1]
+
+    @classmethod
+    def _of(cls, base: Kernel, definitions: Floats) -> Defined:
         lengths, p = base.design.lengths, len(base.directions)
         rows = np.pad(definitions, ((0, 0), (0, p - definitions.shape[1])))
         fixing, left = fixed_by(rows, base.directions, np.where(lengths > 0.0, lengths, 1.0))
@@ -623,6 +657,10 @@ class Defined(Kernel):
     def covariance_of(self, outputs: Outputs) -> Floats:
         """Return the covariance (o, o) of ``outputs``."""
         return self.base.covariance_of(outputs.fixed(self.fixing, self.rows))
+
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return the parts of the base, of outputs that keep the definitions."""
+        return self.base.parts_of(outputs.fixed(self.fixing, self.rows))
 
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.

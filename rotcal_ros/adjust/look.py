@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
 from rotcal_ros.adjust.observable import columns_of, observable_by, seen_of
 from rotcal_ros.adjust.sensitivity import Sensitivity
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 
 IN_A_GROUP: Final = noted("one of {0} of {1} that are off together by {2}")
@@ -393,7 +394,11 @@ class Look:
                 members = [asked[k].members for k in some]
                 rows = [table[m, : size // len(m)].ravel() for m in members]
                 leverage = self.fit.kernel.among_each(np.stack(rows))
-                groups = [self._group(asked[k], of) for k, of in zip(some, leverage, strict=True)]
+                gathered = _gathered_of([asked[k] for k in some])
+                groups = [
+                    self._group(asked[k], *of)
+                    for k, *of in zip(some, leverage, gathered, strict=True)
+                ]
                 cofactors = [group.cofactor.reshape(size, size) for group in groups]
                 values, vectors = np.linalg.eigh(np.stack(cofactors))
                 white = np.stack([group.residual.ravel() for group in groups])
@@ -422,7 +427,7 @@ class Look:
                 continue
             rows = np.stack([of[number] for number in numbers])
             among = fit.kernel.among_each(rows)
-            alike = (among == among[0]).all()  # as those of a circle are
+            alike = not among.strides[0] or (among == among[0]).all()  # as of a circle
             values, vectors = np.linalg.eigh(np.eye(size) - (among[:1] if alike else among))
             values = np.broadcast_to(values, (len(rows), size))
             along, seen = (fit.white[rows][:, None] @ vectors)[:, 0], values > CHECKED
@@ -437,10 +442,13 @@ class Look:
                 )  # fmt: skip
         return [found[number] for number in kept]
 
-    def _group(self, asked: _Members, leverage: Floats) -> Group:
-        """Return a group whose rows have this ``leverage`` (e c, e c)."""
+    def _group(self, asked: _Members, leverage: Floats, gathered: Bools) -> Group:
+        """Return a group whose rows have this ``leverage`` (e c, e c).
+
+        ``gathered`` (q, e): which of its members lie together.
+        """
         grouping, name, members, lost = asked
-        fit, gathered, table = self.fit, gathered_of(grouping, members), self.fit.model.elements
+        fit, table = self.fit, self.fit.model.elements
         rows = table[members][:, : len(leverage) // len(members)]
         white = fit.white[rows]
         frame = None if grouping.frame is None else grouping.frame[members]
@@ -469,6 +477,13 @@ class _Members(NamedTuple):
     name: Phrase
     members: Ints
     lost: int
+
+
+def _gathered_of(asked: Sequence[_Members]) -> Iterator[Bools]:
+    """Yield which members of each group lie together, of neighbours in one grouping at once."""
+    for _, some in groupby(asked, key=lambda each: (id(each.grouping), len(each.members))):
+        alike = list(some)
+        yield from gathered_of(alike[0].grouping, np.stack([each.members for each in alike]))
 
 
 def _largest(squares: Floats) -> list[int]:

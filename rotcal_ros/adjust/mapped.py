@@ -76,6 +76,9 @@ class MappedFit(Fit):
         left = self.left_out[part]
         return np.asarray(self.by.part(part).products() + np.outer(left, left))
 
+    def compact(self, part: slice) -> None:
+        """Return None: a map may feel anything."""
+
     @cached_property
     def _plain_variance(self) -> Floats:
         return np.asarray(self.by.lengths(np.ones(self.by.shape[1])) ** 2 + self.left_out**2)

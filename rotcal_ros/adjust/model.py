@@ -23,7 +23,7 @@ from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.scattering import Scattering
-from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
+from rotcal_ros.adjust.subsets import distinct, neighbourhoods_of_each, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, join_texts, phrase
@@ -866,13 +866,14 @@ def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
     return dict(zip(every.tolist(), np.split(order[begin:], ends[:-1] - begin), strict=True))
 
 
-def gathered_of(grouping: Grouping, members: Ints) -> Bools:
-    """Return which members (e,) of a group lie together, (q, e); none where nothing says so."""
-    found = []
+def gathered_of(grouping: Grouping, members: Ints) -> list[Bools]:
+    """Return which members (q, e) of groups (g, e) lie together; none where nothing says so."""
+    found = [[np.zeros((0, members.shape[1]), dtype=np.bool_)] for _ in members]
     if grouping.along is not None:
-        found.append(runs(grouping.along[members], grouping.closed))
+        for each, along in zip(found, grouping.along[members], strict=True):
+            each.append(runs(along, grouping.closed))
     if grouping.near is not None:
-        found.append(neighbourhoods(grouping.near[members]))
-    if not found:
-        return np.zeros((0, len(members)), dtype=np.bool_)
-    return found[0] if len(found) == 1 else distinct(*found)
+        near = neighbourhoods_of_each(grouping.near[members])
+        for each, those in zip(found, near, strict=True):
+            each.append(those)
+    return [each[-1] if len(each) < 3 else distinct(*each) for each in found]

@@ -199,10 +199,12 @@ class StepMoves:
         unit = np.where(counts, 1.0 / np.where(counts, std, 1.0), 0.0)[: len(outputs)]
         found = [np.zeros(len(r)) for r in roots]
         for members, influence in self._each(outputs):
-            share = (influence * unit).swapaxes(1, 2)  # (m, o, w)
+            influence *= unit  # (m, w, o)
             for each, r in zip(found, roots, strict=True):
-                squares = ((share @ r[members]) ** 2).sum(axis=2)
-                each[members] = np.sqrt(squares.max(axis=1, initial=0.0))
+                if (mine := r[members]).any():
+                    along = mine.swapaxes(1, 2) @ influence
+                    squares = np.square(along, out=along).sum(axis=1)
+                    each[members] = np.sqrt(squares.max(axis=1, initial=0.0))
         return found
 
     def _each(self, outputs: Outputs | None) -> Iterator[tuple[Ints, Floats]]:

@@ -10,8 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array, hstack
 
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.compact import FULL, CompactCovariance, Spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,18 +70,20 @@ class Moment:
     square: Floats
 
 
-def total(moments: Iterable[Moment], outputs: int) -> tuple[Floats, Floats]:
+def total(moments: Iterable[Moment], outputs: int) -> tuple[Floats, Spread]:
     """Return the sums over groups of the outputs' expected error (o,) and of its square (o, o).
 
-    All ``moments`` have the same common part.
+    All ``moments`` have the same common part, and few outputs beside it where there are many.
     """
-    mean, second = np.zeros(outputs), np.zeros((outputs, outputs))
+    mean, large = np.zeros(outputs), outputs > FULL
+    second, own = np.zeros((0, 0) if large else (outputs, outputs)), list[csr_array]()
     common: Floats | None = None
     first, square, mixed = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
     for moment in moments:
         sensitivity = moment.sensitivity
         along = sensitivity.along @ moment.square
         if sensitivity.common is None:
+            second = second if second.size else np.zeros((outputs, outputs))
             mean += sensitivity.along @ moment.first
             second += along @ sensitivity.along.T
             continue
@@ -90,12 +94,28 @@ def total(moments: Iterable[Moment], outputs: int) -> tuple[Floats, Floats]:
         square += along @ sensitivity.along.T
         mean[sensitivity.at] += sensitivity.own @ moment.first
         mixed[:, sensitivity.at] += along @ sensitivity.own.T
-        second[np.ix_(sensitivity.at, sensitivity.at)] += (
-            sensitivity.own @ moment.square @ sensitivity.own.T
-        )
-    if common is not None:
-        mean += common @ first
-        half = common @ (0.5 * (common @ square).T + mixed)
-        second += half
-        second += half.T
+        beside = sensitivity.own @ moment.square @ sensitivity.own.T
+        if large:
+            own.append(_root_at(beside, sensitivity.at, outputs))
+        else:
+            second[np.ix_(sensitivity.at, sensitivity.at)] += beside
+    if common is None:
+        return mean, second if second.size else np.zeros((outputs, outputs))
+    mean += common @ first
+    if large:
+        size = len(square)
+        core = np.block([[square, np.eye(size)], [np.eye(size), np.zeros((size, size))]])
+        near = csr_array(hstack(own, format="csr"))
+        return mean, CompactCovariance.of(near, np.hstack([common, mixed.T]), core)
+    half = common @ (0.5 * (common @ square).T + mixed)
+    second += half
+    second += half.T
     return mean, second
+
+
+def _root_at(square: Floats, at: Ints, outputs: int) -> csr_array:
+    """Return a root (o, t) of what outputs ``at`` (t,) have as ``square`` (t, t)."""
+    values, ways = np.linalg.eigh(square)
+    root = ways * np.sqrt(np.maximum(values, 0.0))
+    places = np.repeat(at, len(at)), np.tile(np.arange(len(at)), len(at))
+    return csr_array((root.ravel(), places), shape=(outputs, len(at)))

@@ -51,12 +51,19 @@ def neighbourhoods(places: Floats) -> Bools:
 
     Unit vectors for directions. From LEAST to LARGEST_SHARE of the elements, each set once.
     """
-    e = len(places)
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    rank = np.empty((e, e), dtype=np.int64)
-    rank[np.arange(e)[:, None], np.argsort(apart, axis=1, kind="stable")] = np.arange(e)
-    parts = [rank[:: _step(size)] < size for size in _sizes(e).tolist()]
-    return distinct(*parts) if parts else np.zeros((0, e), dtype=np.bool_)
+    return neighbourhoods_of_each(places[None])[0]
+
+
+def neighbourhoods_of_each(places: Floats) -> list[Bools]:
+    """Return the same of each of g groups of as many elements, ``places`` (g, e, d)."""
+    g, e = places.shape[:2]
+    apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
+    nearest = np.argsort(apart, axis=2, kind="stable")
+    rank = np.empty((g, e, e), dtype=np.int64)
+    np.put_along_axis(rank, nearest, np.broadcast_to(np.arange(e), (g, e, e)), axis=2)
+    parts = [rank[:, :: _step(size)] < size for size in _sizes(e).tolist()]
+    every = np.concatenate([np.zeros((g, 0, e), dtype=np.bool_), *parts], axis=1)
+    return [some[first] for some, first in zip(every, _first_of_each(every), strict=True)]
 
 
 def runs(along: Floats, closed: bool = False) -> Bools:
@@ -91,8 +98,17 @@ def bounds(subsets: Bools) -> tuple[Ints, Ints, Bools]:
 def distinct(*subsets: Bools) -> Bools:
     """Return all ``subsets`` (q, e), each once."""
     together = np.concatenate(subsets)
-    if not len(together):
-        return together
-    bits = np.ascontiguousarray(np.packbits(together, axis=1))
-    first = np.unique(bits.view(f"V{bits.shape[1]}").ravel(), return_index=True)[1]
-    return np.asarray(together[np.sort(first)])
+    return np.asarray(together[_first_of_each(together[None])[0]])
+
+
+def _first_of_each(subsets: Bools) -> Bools:
+    """Return which of the ``subsets`` (g, q, e) are the first of their kind in a group, (g, q)."""
+    bits = np.packbits(subsets, axis=2)
+    words = np.pad(bits, ((0, 0), (0, 0), (0, -bits.shape[2] % 8))).view(np.uint64)
+    order = np.lexsort(np.moveaxis(words, 2, 0), axis=1)  # it is stable
+    ordered = np.take_along_axis(words, order[:, :, None], axis=1)
+    first = np.ones(order.shape, dtype=np.bool_)
+    first[:, 1:] = (ordered[:, 1:] != ordered[:, :-1]).any(axis=2)
+    found = np.empty_like(first)
+    np.put_along_axis(found, order, first, axis=1)
+    return found

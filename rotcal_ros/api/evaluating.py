@@ -18,7 +18,7 @@ from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
 from rotcal_ros.evaluation.joint import JointInput
 from rotcal_ros.evaluation.joint import combine as combine_measured
 from rotcal_ros.evaluation.joint import solve_together as solve_instruments
-from rotcal_ros.evaluation.monte_carlo import Propagated, propagated
+from rotcal_ros.evaluation.monte_carlo import PropagatedResult, propagate_measurement
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
 from rotcal_ros.evaluation.reference import read_deviations
 from rotcal_ros.foundation.components import unit_of
@@ -167,7 +167,7 @@ def uncertainty(
     seed: int = 1,
     digits: int = 2,
     workers: int = 1,
-) -> Propagated:
+) -> PropagatedResult:
     """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
 
     A configuration: about what its plan would see, before anything is measured. A recording or a
@@ -182,7 +182,9 @@ def uncertainty(
     >>> spread.components["ECC"].std.shape
     (12,)
     """
-    return propagated(_measured(source), trials=trials, digits=digits, seed=seed, workers=workers)
+    return propagate_measurement(
+        _measured(source), trials=trials, digits=digits, seed=seed, workers=workers
+    )
 
 
 def write_report(

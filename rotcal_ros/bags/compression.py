@@ -24,7 +24,7 @@ import zstandard
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_records import ChunkRecord, DamagedRecord
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
-from rotcal_ros.bags.settings import ReadingLimits, refusal
+from rotcal_ros.bags.settings import ReadingLimits, limit_refusal
 from rotcal_ros.bags.storage_scan import Damage
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import open_plain
@@ -72,7 +72,7 @@ def _unpack_file(
             if done > most:
                 ratio = 2 * (done // max(1, size)) + 1
                 raise BagError(
-                    refusal(f"{path} unpacks to too many bytes", "unpacked_ratio", ratio)
+                    limit_refusal(f"{path} unpacks to too many bytes", "unpacked_ratio", ratio)
                 )
             plain.write(part)
     except zstandard.ZstdError as error:
@@ -161,7 +161,7 @@ class Unpacker:
     def message(self, data: bytes) -> bytes:
         """Return a message that was compressed by itself (zstd); raises DamagedRecord."""
         more = f"a message unpacks to more than {self._largest} bytes"
-        beyond = refusal(more, "chunk_bytes", 2 * self._largest)
+        beyond = limit_refusal(more, "chunk_bytes", 2 * self._largest)
         try:
             plain = _zstd(data, self._largest, beyond)
         except (zstandard.ZstdError, MemoryError) as error:
@@ -205,12 +205,14 @@ class Unpacker:
     def _grant(self, size: int, what: str) -> None:
         """Count ``size`` bytes as unpacked; raises DamagedRecord beyond a limit."""
         if size > self._largest:
-            raise DamagedRecord(refusal(f"a {what} claims {size} bytes", "chunk_bytes", size))
+            raise DamagedRecord(
+                limit_refusal(f"a {what} claims {size} bytes", "chunk_bytes", size)
+            )
         self._unpacked += size
         if self._unpacked > self._left:
             ratio = max(self._ratio + 1, -(-self._unpacked // self._size))
             raise DamagedRecord(
-                refusal("the file unpacks to too many bytes", "unpacked_ratio", ratio)
+                limit_refusal("the file unpacks to too many bytes", "unpacked_ratio", ratio)
             )
 
 

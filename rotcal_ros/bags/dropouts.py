@@ -71,7 +71,7 @@ class Dropout:
         )  # fmt: skip
 
     def values(self) -> dict[str, str]:
-        """Return the values of the status in its message, as texts; see :func:`of_status`."""
+        """Return the values of its status, as texts; :func:`dropout_from_status` reads them."""
         return {name: str(value) for name, value in asdict(self).items()}
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class Dropout:
         return asdict(self)
 
 
-def of_status(values: Mapping[str, str]) -> Dropout | None:
+def dropout_from_status(values: Mapping[str, str]) -> Dropout | None:
     """Return the dropout in the values of a status; None for any other status."""
     try:
         dropout = Dropout(
@@ -96,7 +96,7 @@ def of_status(values: Mapping[str, str]) -> Dropout | None:
     return dropout if all(0 <= number < _LARGEST for number in numbers) else None
 
 
-def counters(dropouts: Iterable[Dropout]) -> dict[str, int]:
+def loss_counters(dropouts: Iterable[Dropout]) -> dict[str, int]:
     """Return the loss counters that follow from dropouts, by the names of ``rotcal_losses``."""
     totals: dict[str, int] = {}
     for dropout in dropouts:
@@ -143,6 +143,8 @@ class DropoutReader:
             message = decoder.message(block.payload(row))
             with suppress(AttributeError, TypeError):  # the bag may define its type otherwise
                 for status in () if message is None else message.status:
-                    dropout = of_status({value.key: value.value for value in status.values})
+                    dropout = dropout_from_status(
+                        {value.key: value.value for value in status.values}
+                    )
                     if dropout is not None:
                         yield dropout

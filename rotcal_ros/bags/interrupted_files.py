@@ -60,7 +60,7 @@ class InterruptedSession:
 
     files: tuple[FileInfo, ...] = ()
     session: str = ""
-    open_ends: tuple[OpenEnd, ...] = ()
+    open_ends: tuple[UnclosedEnd, ...] = ()
 
     @classmethod
     def read(cls, folder: Path) -> InterruptedSession:
@@ -69,7 +69,9 @@ class InterruptedSession:
         heads = (file_head(file) for file in files)
         session = next((head.session for head in heads if not head.says_nothing), "")
         scans = [scan for scan, block in read_blocks(files) if block is None]
-        ends = tuple(end for scan in scans if (end := open_end(scan.verdict())) is not None)
+        ends = tuple(
+            end for scan in scans if (end := find_unclosed_end(scan.verdict())) is not None
+        )
         return cls(tuple(map(file_info, scans)), session, ends)
 
     def close_before(self, writer: BagWriter) -> None:
@@ -96,7 +98,7 @@ class InterruptedSession:
 
 
 @dataclass(frozen=True)
-class OpenEnd:
+class UnclosedEnd:
     """An interrupted file of ``size`` bytes: whole records, then ``torn`` bytes of one."""
 
     path: Path
@@ -140,7 +142,7 @@ class OpenEnd:
         )
 
 
-def open_end(verdict: FileVerdict) -> OpenEnd | None:
+def find_unclosed_end(verdict: FileVerdict) -> UnclosedEnd | None:
     """Return how an interrupted file is closed; None when it is closed, or damaged.
 
     A damaged file is left as it is, and so is one that no recorder of ours wrote.
@@ -156,7 +158,7 @@ def open_end(verdict: FileVerdict) -> OpenEnd | None:
         summary = SummarySection.of(file, begun[0] if begun else verdict.damages[0].offset)
         file.seek(summary.end)
         torn = begun[1] if begun else file.read()
-    return OpenEnd(path, path.stat().st_size, torn, summary) if summary.like_ours else None
+    return UnclosedEnd(path, path.stat().st_size, torn, summary) if summary.like_ours else None
 
 
 def _journal(path: Path) -> Path:

@@ -19,12 +19,12 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statisti
 
 from rotcal_ros.bags import compression, names
 from rotcal_ros.bags import mcap_records as mcap
-from rotcal_ros.bags.blocks import Block, Others, block_of_contents, joined, split_chunk
+from rotcal_ros.bags.blocks import Block, Others, block_of_contents, join_blocks, split_chunk
 from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions, schema_text
 from rotcal_ros.bags.framing import Framing, Record
 from rotcal_ros.bags.index_check import INDEXES, IndexCheck
 from rotcal_ros.bags.mcap_records import DamagedRecord, R
-from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, refusal
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, limit_refusal
 from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Item, Scan, State
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import cause_of, open_plain
@@ -80,7 +80,7 @@ class McapScan(Scan):
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
                 self._unpacker = compression.Unpacker(self._limits, self._size)
-                self._framing = Framing(file, size, self._limits.record_bytes)
+                self._framing = Framing(file, size, self._limits.chunk_bytes)
                 report = self._framing.index_fault, self._framing.damage
                 self._index = IndexCheck(*report) if self._check_index else None
                 self._define_by_summary(file, size)
@@ -168,7 +168,7 @@ class McapScan(Scan):
         elif opcode == mcap.METADATA:
             yield self._metadata(record)
         elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
-            trust = None if self._framing.in_summary else Trust.PLAIN_DATA
+            trust = None if self._framing.in_summary else DefinitionTrust.PLAIN_DATA
             self._framing.note_fields_end(record, self._define(record, opcode, content, trust))
         elif opcode == mcap.HEADER:
             self._parsed(Header, record)
@@ -188,7 +188,7 @@ class McapScan(Scan):
         if record.size and not record.content:
             self._loss_unknown |= opcode == mcap.MESSAGE
             what = f"a record has {record.size} bytes"
-            raise mcap.DamagedRecord(refusal(what, "record_bytes", record.size))
+            raise mcap.DamagedRecord(limit_refusal(what, "chunk_bytes", record.size))
         if opcode not in _DATA:
             self._memory.check_record(record.content)
 
@@ -196,7 +196,7 @@ class McapScan(Scan):
         chunk, end = mcap.parse_chunk(record.content)
         self._framing.note_fields_end(record, end)
         data = self._unpacker.chunk(chunk)
-        trust = Trust.CHECKED_DATA if chunk.crc else Trust.PLAIN_DATA
+        trust = DefinitionTrust.CHECKED_DATA if chunk.crc else DefinitionTrust.PLAIN_DATA
         if self._index is not None:
             self._index.chunk(record, chunk)
         try:
@@ -214,7 +214,9 @@ class McapScan(Scan):
             raise
         self._chunk_counts, self._awaits_message_index = None, False
 
-    def _define_all(self, record: Record, others: Others, trust: Trust) -> dict[int, int]:
+    def _define_all(
+        self, record: Record, others: Others, trust: DefinitionTrust
+    ) -> dict[int, int]:
         """Add the definitions in a chunk; return where those of new channels begin, by id."""
         begins: dict[int, int] = {}
         for begin, opcode, content in others:
@@ -295,7 +297,9 @@ class McapScan(Scan):
         self.metadata[metadata.name] = metadata.metadata
         return metadata
 
-    def _define(self, record: Record, opcode: int, content: bytes, trust: Trust | None) -> int:
+    def _define(
+        self, record: Record, opcode: int, content: bytes, trust: DefinitionTrust | None
+    ) -> int:
         """Add a schema or channel, unless ``trust`` is None; return where its fields end."""
         definition: Schema | Channel
         fault: str | None = None
@@ -380,8 +384,8 @@ class McapScan(Scan):
 
     def _define_by_summary(self, file: BinaryIO, size: int) -> None:
         """Add schemas and channels from the summary of a complete file, before its data."""
-        for record, checked in summary_definitions(file, size, self._limits.record_bytes):
-            trust = Trust.CHECKED_INDEX if checked else Trust.PLAIN_INDEX
+        for record, checked in summary_definitions(file, size, self._limits.chunk_bytes):
+            trust = DefinitionTrust.CHECKED_INDEX if checked else DefinitionTrust.PLAIN_INDEX
             try:
                 self._define(record, record.opcode, record.content, trust)
             except mcap.DamagedRecord:
@@ -416,7 +420,7 @@ class SmallBlocks:
         if not self._blocks:
             return ()
         blocks, self._blocks, self._room = self._blocks, [], _JOINED_BYTES
-        return (joined(blocks),)
+        return (join_blocks(blocks),)
 
 
 _OVERHEAD: Final = 1000
@@ -439,7 +443,7 @@ class MemoryBudget:
         """Raise DamagedRecord if parsing the record may take more memory than is allowed."""
         if len(content) > self._limit // _PARSING_FACTOR:
             what = f"definitions or metadata have {len(content)} bytes"
-            raise DamagedRecord(refusal(what, "kept_bytes", _PARSING_FACTOR * len(content)))
+            raise DamagedRecord(limit_refusal(what, "kept_bytes", _PARSING_FACTOR * len(content)))
 
     def reserve(self, key: Hashable, size: int) -> bool:
         """Count ``size`` bytes under ``key``; False, and nothing counted, beyond the limit."""
@@ -454,7 +458,7 @@ class MemoryBudget:
         """Count ``size`` bytes under ``key``; raises DamagedRecord beyond the limit."""
         if not self.reserve(key, size):
             what = "definitions and metadata take too much memory"
-            raise DamagedRecord(refusal(what, "kept_bytes", 2 * (self._total + size)))
+            raise DamagedRecord(limit_refusal(what, "kept_bytes", 2 * (self._total + size)))
 
 
 def cost_of_texts(texts: Mapping[str, str]) -> int:
@@ -469,7 +473,7 @@ _HASH: Final = "topic_type_hash"
 _NO_SCHEMA: Final = Schema(id=0, data=b"", encoding="", name="")
 
 
-class Trust(IntEnum):
+class DefinitionTrust(IntEnum):
     """The place of a definition, least trusted first: a checksum counts most, then the data."""
 
     PLAIN_INDEX = 0
@@ -490,12 +494,12 @@ class Definitions:
         """Ids of the schemas that the data define."""
         self.from_data: set[int] = set()
         """Ids of the channels that the data define."""
-        self._schemas: dict[int, tuple[Trust, Schema]] = {}
-        self._records: dict[int, tuple[Trust, Channel]] = {}
+        self._schemas: dict[int, tuple[DefinitionTrust, Schema]] = {}
+        self._records: dict[int, tuple[DefinitionTrust, Channel]] = {}
         self._copies: dict[int, ChannelDefinition] = {}
         self._channels_of_schema: defaultdict[int, set[int]] = defaultdict(set)
 
-    def add(self, record: Schema | Channel, trust: Trust) -> str | None:
+    def add(self, record: Schema | Channel, trust: DefinitionTrust) -> str | None:
         """Add a schema or channel; return what is wrong with it, None if nothing is."""
         if isinstance(record, Schema):
             return self._add_schema(record, trust)
@@ -507,8 +511,8 @@ class Definitions:
 
     def recover(self, number: int) -> bool:
         """Use another definition of a channel that the data do not define; False without any."""
-        trust, record = self._records.get(number, (Trust.PLAIN_INDEX, None))
-        if number in self._copies and trust < Trust.CHECKED_INDEX:
+        trust, record = self._records.get(number, (DefinitionTrust.PLAIN_INDEX, None))
+        if number in self._copies and trust < DefinitionTrust.CHECKED_INDEX:
             self.channels[number] = self._copies[number]
         elif record is not None:
             self.channels[number] = self._resolved(record)
@@ -517,7 +521,9 @@ class Definitions:
     def recover_all(self, *, trusted: bool) -> None:
         """Use the other definitions of all channels; ``trusted``: those with a checksum only."""
         for number, (trust, _) in self._records.items():
-            if number not in self.channels and (trust >= Trust.CHECKED_INDEX or not trusted):
+            if number not in self.channels and (
+                trust >= DefinitionTrust.CHECKED_INDEX or not trusted
+            ):
                 self.recover(number)
         for number in self._copies.keys() - self.channels.keys():
             self.recover(number)
@@ -526,10 +532,10 @@ class Definitions:
         """Return the numbers of schemas and channels in data and summary together."""
         return len(self._schemas), len(self._records)
 
-    def _add_schema(self, schema: Schema, trust: Trust) -> str | None:
+    def _add_schema(self, schema: Schema, trust: DefinitionTrust) -> str | None:
         if schema.id == 0:
             return "a schema has the id 0, which means none"
-        if trust in (Trust.PLAIN_DATA, Trust.CHECKED_DATA):
+        if trust in (DefinitionTrust.PLAIN_DATA, DefinitionTrust.CHECKED_DATA):
             self.schema_ids.add(schema.id)
         fault = _add_trusted(self._schemas, schema, trust)
         for number in self._channels_of_schema[schema.id] & self.channels.keys():
@@ -538,8 +544,8 @@ class Definitions:
             return fault or f"schema {schema.name!r} has no encoding"
         return fault
 
-    def _add_channel(self, channel: Channel, trust: Trust) -> str | None:
-        in_data = trust in (Trust.PLAIN_DATA, Trust.CHECKED_DATA)
+    def _add_channel(self, channel: Channel, trust: DefinitionTrust) -> str | None:
+        in_data = trust in (DefinitionTrust.PLAIN_DATA, DefinitionTrust.CHECKED_DATA)
         fault = _add_trusted(self._records, channel, trust)
         self._channels_of_schema[channel.schema_id].add(channel.id)
         if in_data:
@@ -569,7 +575,9 @@ class Definitions:
         )
 
 
-def _add_trusted(known: dict[int, tuple[Trust, T]], record: T, trust: Trust) -> str | None:
+def _add_trusted(
+    known: dict[int, tuple[DefinitionTrust, T]], record: T, trust: DefinitionTrust
+) -> str | None:
     """Add ``record`` unless one of its id is trusted more; return where the two disagree."""
     before = known.get(record.id)
     if before is None or before[0] < trust:

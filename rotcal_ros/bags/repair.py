@@ -29,7 +29,7 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session, repair_record
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, WriterSettings
 from rotcal_ros.bags.storage_scan import FileVerdict, Scan, session_losses
-from rotcal_ros.bags.writer import LIBRARY, Attached, BagWriter
+from rotcal_ros.bags.writer import LIBRARY, BagWriter, LoggedAttachment
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import sync_folder, write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
@@ -106,7 +106,7 @@ class _Copier:
         self._of_this_file.add(key)
         if found.name != names.DEFINITIONS and key not in self._of_earlier_files:
             self._writer.attach_once(
-                Attached(
+                LoggedAttachment(
                     found.name, found.media_type, found.data, found.log_time, found.create_time
                 )
             )

@@ -22,21 +22,25 @@ from rotcal_ros.foundation.untrusted import load_yaml
 class WriterSettings:
     """When chunks are closed and files are split."""
 
-    sync_interval_s: float = setting(
-        0.5,
-        minimum=0.01,
-        maximum=1.0,
-        doc="s, longest time that data wait in memory before they are on disk",
-    )
-    chunk_bytes: int = setting(
-        262144, doc="bytes, size at which a chunk is closed early", minimum=1024, maximum=67108864
-    )
+    sync_interval_s: ClassVar[
+        Annotated[
+            float,
+            "data wait at most so long for the disk: a crash costs no more, and a step that waits "
+            "for its receipt hardly takes longer",
+        ]
+    ] = 0.5
+    chunk_bytes: ClassVar[
+        Annotated[
+            int,
+            "a chunk is closed early at this size: compression gains nothing beyond it",
+        ]
+    ] = 262_144
     split_bytes: int = setting(
         0, doc="bytes, size at which a new file is begun; 0: never", minimum=0
     )
-    split_duration_s: float = setting(
-        0.0, doc="s, recording time after which a new file is begun; 0: never", minimum=0.0
-    )
+    split_duration_s: ClassVar[
+        Annotated[float, "split_bytes bounds files by what is limited, their size"]
+    ] = 0.0
     min_free_bytes: int = setting(
         67108864, doc="bytes, free disk space below which recording stops in good order", minimum=0
     )
@@ -244,11 +248,11 @@ LARGEST_MESSAGE: Final = 128 * 1024 * 1024
 class ReadingLimits:
     """What a bag may cost to read; what goes beyond is left out and said."""
 
-    record_bytes: int = setting(
-        50_331_648, doc="bytes, largest record of a file that is taken into memory", minimum=65_536
-    )
+    record_bytes: ClassVar[Annotated[int, "chunk_bytes bounds records, too"]] = 50_331_648
     chunk_bytes: int = setting(
-        50_331_648, doc="bytes, largest chunk or message that is unpacked", minimum=65_536
+        50_331_648,
+        doc="bytes, largest record, unpacked chunk or message that is taken into memory",
+        minimum=65_536,
     )
     unpacked_bytes: int = setting(
         268_435_456,
@@ -261,9 +265,13 @@ class ReadingLimits:
         "unpacked_bytes",
         minimum=1,
     )
-    other_records: int = setting(
-        200_000, doc="largest number of records in a chunk that are no messages", minimum=1000
-    )
+    other_records: ClassVar[
+        Annotated[
+            int,
+            "a chunk holds its messages and a few hundred definitions; more records that are no "
+            "messages are made to exhaust a reader",
+        ]
+    ] = 200_000
     kept_bytes: int = setting(
         33_554_432,
         doc="bytes, memory for all definitions, attachments and metadata of a file together",
@@ -284,6 +292,6 @@ def changed_limits(changes: Sequence[str]) -> ReadingLimits:
     return settings_from_changes(ReadingLimits, _GROUP, changes, load_yaml)
 
 
-def refusal(what: str, setting_name: str, least: int) -> str:
+def limit_refusal(what: str, setting_name: str, least: int) -> str:
     """Return the words for something beyond a limit: what it is, and what lets it pass."""
     return f"{what}; --set reading.{setting_name}={least} of rotcal bag repair lets it pass"

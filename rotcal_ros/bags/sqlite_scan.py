@@ -155,7 +155,7 @@ class Database:
 
 
 @contextmanager
-def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Database]:
+def open_database(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Database]:
     """Open ``path`` for reading; texts come as bytes. Raises BagError when that is impossible.
 
     A journal or write-ahead log that was left beside it belongs to the data, but sqlite3 writes
@@ -254,7 +254,7 @@ class SqliteScan(Scan):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the messages in the order of log times, those of a damaged file by their ids."""
-        with opened(self.path, self._limits) as database:
+        with open_database(self.path, self._limits) as database:
             self._size = self.path.stat().st_size
             self._plain_size = database.file.stat().st_size
             self._unpacker = Unpacker(self._limits, self._size)
@@ -325,9 +325,7 @@ class SqliteScan(Scan):
     def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
         size, room = 0, 4 * self._plain_size + LARGEST_MESSAGE
-        odd = not self._damages and database.connection.execute(_ODD_TIMES).fetchone() is not None
-        by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
-        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, by):
+        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, "timestamp"):
             if (message := self._message(topic_id, time_ns, data, length)) is None:
                 continue
             batch.append(message)
@@ -354,11 +352,12 @@ class SqliteScan(Scan):
             self._oddities["messages of no topic"] += 1
             self._unreadable += 1
             return None
-        if not isinstance(time_ns, int) and (time_ns := _whole(time_ns)) is not None:
-            self._oddities["messages whose time is a text or a fraction, read as a whole one"] += 1
         if not isinstance(time_ns, int) or not isinstance(data, bytes):
-            large = size and not isinstance(data, bytes)
-            what = "whose size is out of range" if large else "without content or time"
+            what = "without content or time"
+            if size and not isinstance(data, bytes):
+                what = "whose size is out of range"
+            elif isinstance(time_ns, bytes | float):
+                what = "whose time is no integer (UPDATE messages SET timestamp = CAST(...))"
             self._oddities[f"messages {what}"] += 1
             self._lost[number] += 1
             return None
@@ -401,19 +400,6 @@ _MESSAGE: Final = (
     "topic_id", "timestamp", f"CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END",
     "length(data)",
 )  # fmt: skip
-_ODD_TIMES: Final = "SELECT 1 FROM messages WHERE typeof(timestamp) != 'integer' LIMIT 1"
-_TIME: Final = re.compile(rb"\s*([+-]?[0-9]{1,19})(\.[0-9]*)?([eE][+-]?[0-9]{1,3})?\s*")
-_LARGEST_TIME: Final = float(1 << 62)
-
-
-def _whole(time_ns: object) -> int | None:
-    """Return a time that is stored as a text or a fraction as a whole number; None for others."""
-    found = _TIME.fullmatch(time_ns) if isinstance(time_ns, bytes) else None
-    if found is not None:  # a double does not hold all digits of a time of today
-        time_ns = float(found[0]) if found[3] else int(found[1])
-    if isinstance(time_ns, float | int) and abs(time_ns) < _LARGEST_TIME:
-        return int(time_ns)
-    return None
 
 
 def _block(batch: list[tuple[int, int, bytes]]) -> Block:

@@ -14,20 +14,20 @@ decide. If they ascend, that clock was set; if they go back too, the clock of th
 set, provided that what follows covers times that were there before, else parts of the file were
 exchanged.
 
-Sorting takes bounded memory: runs of messages are sorted into a temporary file, then merged.
+Messages that are sorted wait in temporary files; only their times are sorted in memory.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import IO, Any, Final, Literal
+from tempfile import TemporaryFile
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.bags.blocks import HEADER_TYPE, Block, gather
+from rotcal_ros.bags.blocks import HEADER_TYPE, Block, gather_rows
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.names import run_number
@@ -318,7 +318,9 @@ def times_of(block: Block, rows: Ints, decoder: Decoder) -> NDArray[np.int64]:
     if decoder.begins_with_header:
         long = np.flatnonzero(block.size[rows] >= _STAMP_AT + 8)
         raw = np.frombuffer(block.data, np.uint8)
-        stamps = gather(raw, block.start[rows[long]] + _STAMP_AT, 8).view("<u4").astype(np.int64)
+        stamps = (
+            gather_rows(raw, block.start[rows[long]] + _STAMP_AT, 8).view("<u4").astype(np.int64)
+        )
         stamped_ns = stamps[:, 0] * 1_000_000_000 + stamps[:, 1]
         times[STAMP, long] = np.where(stamped_ns > 0, stamped_ns, -1)
     return times
@@ -352,7 +354,7 @@ class _Group:
 
     def __init__(self, sort_by: int, wanted: Mapping[ChannelDefinition, Decoder]) -> None:
         self.scans: list[Scan] = []
-        self._sorting = Sorting()
+        self._sorting = BlockSorter()
         self._sort_by = sort_by
         self._wanted = wanted
         self._numbers: dict[ChannelDefinition, int] = {}
@@ -388,158 +390,64 @@ class _Group:
             yield together, block
 
 
-RUN_BYTES: Final = 32 << 20
-"""Bytes of messages that are sorted at once; about as many are held while runs are merged."""
 _PIECE: Final = 1 << 18
+"""Bytes of payloads that are put in order together."""
 _ROWS: Final = 1 << 16
-_LEAST_BYTES: Final = 1 << 16
-_Rows = tuple[NDArray[Any], bytes]
-"""Messages: key, size and header of each, and their payloads one after the other."""
-_ROW: Final = np.dtype([("key", "<i8"), ("size", "<i8"), ("header", HEADER_TYPE)])
+_ROW: Final = np.dtype(
+    [("key", "<i8"), ("start", "<i8"), ("size", "<i8"), ("header", HEADER_TYPE)]
+)
 
 
-class Sorting:
-    """Sorts the messages of blocks by a key that each has.
+class BlockSorter:
+    """Sorts the messages of blocks by a key that each has; those of equal key keep their order.
 
-    Messages of equal key keep their order. ``run_bytes`` bounds the memory that is taken.
+    The messages wait in temporary files; the sorting takes 24 bytes of memory for each.
     """
 
-    def __init__(self, run_bytes: int = RUN_BYTES) -> None:
-        self._run_bytes = run_bytes
-        self._waiting: list[tuple[NDArray[Any], bytes]] = []
-        self._size = 0
-        self._file: IO[bytes] | None = None
-        self._runs: list[_Run] = []
+    def __init__(self) -> None:
+        self._rows, self._payloads = TemporaryFile(), TemporaryFile()  # noqa: SIM115 - kept open
+        self._count = self._size = 0
 
     def add(self, block: Block, keys: Ints) -> None:
         """Take the messages of ``block``; ``keys`` has one time (ns) for each."""
-        begin = 0
-        ends = np.cumsum(block.size)
-        while begin < len(block):
-            before = int(ends[begin - 1]) if begin else 0
-            end = int(np.searchsorted(ends, before + _PIECE)) + 1
-            rows = np.arange(begin, min(end, begin + _ROWS, len(block)))
-            self._add(block.select(rows), keys[rows])
-            begin = int(rows[-1]) + 1
+        rows = np.zeros(len(block), _ROW)
+        rows["key"], rows["start"], rows["size"] = keys, block.start, block.size
+        rows["header"] = block.headers
+        raw = np.frombuffer(block.data, np.uint8)
+        for piece in _pieces(rows):
+            payloads = _payloads(raw, piece["start"], piece["size"])
+            piece["start"] = self._size + np.cumsum(piece["size"]) - piece["size"]
+            self._rows.write(piece.tobytes())
+            self._payloads.write(payloads)
+            self._size += len(payloads)
+        self._count += len(rows)
 
     def blocks(self) -> Iterator[Block]:
-        """Yield all messages, then forget them."""
-        if self._waiting:
-            self._close_run()
-        portion = self._run_bytes // max(1, len(self._runs))
-        for run in self._runs:
-            run.portion = max(_LEAST_BYTES, portion)
-        while runs := [run for run in self._runs if run.fill()]:
-            # A run with more in the file may go on with its last key. Up to the smallest of these
-            # keys all is here; messages with that very key in the runs behind have to wait.
-            safe = min((r.last_key for r in runs if r.more), default=None)
-            parts = []
-            limited = False
-            for run in runs:
-                parts.append(run.up_to(safe, "left" if limited else "right"))
-                limited |= run.more and run.last_key == safe
-            for run in runs:
-                run.drop_taken()
-            yield _joined([part for part in parts if len(part[0])])
-        if self._file is not None:
-            self._file.close()
-        self._runs, self._file = [], None
-
-    def _add(self, block: Block, keys: Ints) -> None:
-        rows = np.zeros(len(block), _ROW)
-        rows["key"], rows["size"], rows["header"] = keys, block.size, block.headers
-        data = _payloads(np.frombuffer(block.data, np.uint8), block.start, block.size)
-        self._waiting.append((rows, data))
-        self._size += len(data) + rows.nbytes
-        if self._size >= self._run_bytes:
-            self._close_run()
-
-    def _close_run(self) -> None:
-        """Write what waits into the file, sorted."""
-        if self._file is None:
-            self._file = tempfile.TemporaryFile(prefix="rotcal_")  # noqa: SIM115 - kept open
-        rows = np.concatenate([rows for rows, _ in self._waiting])
-        raw = np.frombuffer(b"".join(data for _, data in self._waiting), np.uint8)
-        self._waiting, self._size = [], 0
-        start = np.cumsum(rows["size"]) - rows["size"]
-        order = np.argsort(rows["key"], kind="stable")
-        begin = self._file.seek(0, 2)
-        self._file.write(rows[order].tobytes())
-        for part in _pieces(order, rows["size"]):
-            self._file.write(_payloads(raw, start[part], rows["size"][part]))
-        self._runs.append(_Run(self._file, begin, len(rows)))
+        """Yield all messages, then forget them; their log times are the keys."""
+        with self._rows, self._payloads:
+            if not self._count:
+                return
+            self._payloads.write(b"\0")  # an empty file cannot be mapped
+            self._rows.flush()
+            self._payloads.flush()
+            rows = np.memmap(self._rows, _ROW, "r")
+            raw = np.memmap(self._payloads, np.uint8, "r")
+            order = np.argsort(rows["key"], kind="stable")
+            for begin in range(0, len(order), _ROWS):
+                for piece in _pieces(np.array(rows[order[begin : begin + _ROWS]])):
+                    size, headers = piece["size"], piece["header"]
+                    headers["log_time"] = np.maximum(piece["key"], 0).astype(np.uint64)
+                    data = _payloads(raw, piece["start"], size)
+                    yield Block(data, np.cumsum(size) - size, size, headers)
 
 
-class _Run:
-    """A sorted run in the file, of which a portion is in memory."""
-
-    def __init__(self, file: IO[bytes], begin: int, count: int) -> None:
-        self.portion = _LEAST_BYTES
-        self._file = file
-        self._rows_at, self._left = begin, count
-        self._data_at = begin + count * _ROW.itemsize
-        self._rows, self._data, self._taken = np.zeros(0, _ROW), b"", 0
-
-    @property
-    def more(self) -> bool:
-        """Whether something stands in the file behind the portion."""
-        return self._left > 0
-
-    @property
-    def last_key(self) -> int:
-        return int(self._rows["key"][-1])
-
-    def fill(self) -> bool:
-        """Read the next portion where none is left; return whether there is one."""
-        if not len(self._rows) and self._left:
-            self._file.seek(self._rows_at)
-            count = min(self._left, _ROWS, max(1, self.portion // _ROW.itemsize))
-            rows = np.frombuffer(self._file.read(count * _ROW.itemsize), _ROW)
-            within = int(np.searchsorted(np.cumsum(rows["size"]), self.portion)) + 1
-            self._rows = rows[:within]
-            self._file.seek(self._data_at)
-            self._data = self._file.read(int(self._rows["size"].sum()))
-            self._rows_at += self._rows.nbytes
-            self._data_at += len(self._data)
-            self._left -= len(self._rows)
-        return len(self._rows) > 0
-
-    def up_to(self, key: int | None, side: Literal["left", "right"]) -> _Rows:
-        """Return the messages of the portion with keys below ``key`` ("right": or equal.
-
-        None: all).
-        """
-        keys = self._rows["key"]
-        self._taken = len(keys) if key is None else int(np.searchsorted(keys, key, side))
-        taken = self._rows[: self._taken]
-        return taken, self._data[: int(taken["size"].sum())]
-
-    def drop_taken(self) -> None:
-        """Forget what was returned last."""
-        self._data = self._data[int(self._rows["size"][: self._taken].sum()) :]
-        self._rows = self._rows[self._taken :]
-
-
-def _joined(parts: list[_Rows]) -> Block:
-    """Return what was taken of all runs as one block; its log times are the keys."""
-    rows = np.concatenate([rows for rows, _ in parts])
-    data = b"".join(data for _, data in parts)
-    start = np.cumsum(rows["size"]) - rows["size"]
-    order = np.argsort(rows["key"], kind="stable")
-    headers = rows["header"][order]
-    headers["log_time"] = np.maximum(rows["key"][order], 0).astype(np.uint64)
-    return Block(data, start[order], rows["size"][order], headers)
-
-
-def _pieces(order: Ints, size: Ints) -> Iterator[Ints]:
-    """Yield ``order`` in parts of about ``_PIECE`` bytes of messages."""
-    number = np.cumsum(size[order]) // _PIECE
-    yield from np.split(order, np.flatnonzero(np.diff(number)) + 1)
+def _pieces(rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Yield messages in parts of about ``_PIECE`` bytes."""
+    number = np.cumsum(rows["size"]) // _PIECE
+    yield from np.split(rows, np.flatnonzero(np.diff(number)) + 1)
 
 
 def _payloads(raw: NDArray[np.uint8], start: Ints, size: Ints) -> bytes:
     """Return the bytes of messages one after the other."""
-    if not len(start):
-        return b""
     shift = start - (np.cumsum(size) - size)
     return raw[np.repeat(shift, size) + np.arange(int(size.sum()))].tobytes()

@@ -26,7 +26,7 @@ def plain_name(namespace: str, role: str) -> str:
     return f"{namespace.rstrip('/')}/{role}"
 
 
-class CalledOtherwise:
+class TopicRoleFinder:
     """Knows which topics play which role, by the latest beats of the nodes that decide it."""
 
     def __init__(self, namespace: str) -> None:

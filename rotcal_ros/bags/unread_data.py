@@ -14,7 +14,7 @@ _sentences: Final[ContextVar[dict[str, bool] | None]] = ContextVar("unread", def
 
 
 @contextmanager
-def unread() -> Iterator[dict[str, bool]]:
+def collect_unread() -> Iterator[dict[str, bool]]:
     """Yield what is noted until the end: sentence -> whether it was printed already."""
     sentences: dict[str, bool] = {}
     token = _sentences.set(sentences)
@@ -25,7 +25,7 @@ def unread() -> Iterator[dict[str, bool]]:
 
 
 def note_unread(sentences: Iterable[str]) -> None:
-    """Note that something of a bag was not read; ignored outside of :func:`unread`."""
+    """Note that something of a bag was not read; ignored outside of :func:`collect_unread`."""
     noted = _sentences.get()
     if noted is not None:
         for sentence in sentences:
@@ -38,7 +38,7 @@ def note_verdict(verdict: FileVerdict) -> None:
         note_unread([f"{verdict.path.name}: {verdict.sentence()}"])
 
 
-def note_told(line: str) -> None:
+def note_printed(line: str) -> None:
     """Note a line that was printed."""
     noted = _sentences.get() or {}
     noted.update((sentence, True) for sentence in noted if sentence in line)

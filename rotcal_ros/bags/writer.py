@@ -65,7 +65,7 @@ class BagWriter:
         self.closed = False
         self._ros_distro, self._clock = ros_distro, clock
         self._channels: dict[int, ChannelDefinition] = {}
-        self._attachments: list[Attached] = []
+        self._attachments: list[LoggedAttachment] = []
         self._notes: dict[str, dict[str, str]] = {}
         self._sequences: dict[int, int] = {}
         self._unsynced = 0
@@ -94,11 +94,11 @@ class BagWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put ``data`` beside the messages, in this file and in every later one."""
-        attached = Attached(name, media_type, data, self._clock())
+        attached = LoggedAttachment(name, media_type, data, self._clock())
         self._attachments.append(attached)
         self.attach_once(attached)
 
-    def attach_once(self, attached: Attached) -> None:
+    def attach_once(self, attached: LoggedAttachment) -> None:
         """Put an attachment of another bag beside the messages, in this file alone."""
         self._guarded(lambda: self._file.attach(attached))
         self._unsynced += 1
@@ -254,10 +254,8 @@ class BagWriter:
         self._unsynced = 0
 
     def _must_split(self) -> bool:
-        limits, file = self.settings, self.files[-1]
-        seconds = (file.end_ns - file.start_ns) / 1e9 if file.messages else 0.0
-        too_big = 0 < limits.split_bytes <= self._file.size
-        return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
+        too_big = 0 < self.settings.split_bytes <= self._file.size
+        return too_big and self.files[-1].messages > 0
 
     def _split(self) -> None:
         """Go on in a new file, which is on the medium before the previous one names it."""
@@ -416,7 +414,7 @@ _MOST_CHANNELS: Final = 65_535
 
 
 @dataclass(frozen=True, slots=True)
-class Attached:
+class LoggedAttachment:
     """An attachment logged at ``time_ns``.
 
     Created then too, unless ``created_ns`` says otherwise.
@@ -457,7 +455,7 @@ class McapFile:
         """Write what every file begins with."""
         self._writer.start(profile="ros2", library=LIBRARY)
 
-    def attach(self, attached: Attached) -> None:
+    def attach(self, attached: LoggedAttachment) -> None:
         """Put a file beside the messages."""
         created_ns = attached.time_ns if attached.created_ns is None else attached.created_ns
         self._writer.add_attachment(
@@ -524,5 +522,5 @@ class McapFile:
     def _describe(self) -> None:
         """Put new definitions beside the chunks, before the first message that needs them."""
         data = dump_definitions(self._undescribed)
-        self.attach(Attached(names.DEFINITIONS, "application/json", data, self._clock()))
+        self.attach(LoggedAttachment(names.DEFINITIONS, "application/json", data, self._clock()))
         self._undescribed.clear()

@@ -47,7 +47,7 @@ class ObservedAir:
 
 
 @dataclass(frozen=True, slots=True)
-class Missing:
+class AwaitedQuantity:
     """A quantity whose ``stream`` has not come to ``stamp_ns`` yet."""
 
     quantity: Quantity
@@ -97,13 +97,13 @@ class AirStreams:
 
     def missing(
         self, begin_ns: int, since_ns: int | None, settings: CaptureSettings
-    ) -> Iterator[Missing]:
+    ) -> Iterator[AwaitedQuantity]:
         """Yield what to wait for before :meth:`at` is final."""
         wanted = _wanted(begin_ns, since_ns, settings)
         for quantity in QUANTITIES.values():
             stream = self.by_name[quantity.name]
             if quantity.expected(settings) and not stream.knows(wanted):
-                yield Missing(quantity, stream, wanted)
+                yield AwaitedQuantity(quantity, stream, wanted)
 
     def at(self, begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> ObservedAir:
         """Return the air of an attempt that began at ``begin_ns``.

@@ -22,7 +22,7 @@ from rotcal_ros.foundation.errors import BagError
 PLANNER: Final = "planner"
 
 
-def strangers(
+def foreign_plans(
     files: tuple[Path, ...],
     planned: Collection[tuple[str, str]],
     attached: Collection[str] = (),

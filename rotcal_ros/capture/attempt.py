@@ -80,7 +80,7 @@ class AttemptStreams:
         set_back = [s for s in self.fast if s.counts.set_back]
         newest = max(s.forgotten for s in set_back if s.forgotten is not None)
         self.since_ns = self.settled_ns = newest + settling_ns
-        self._belated = tuple(belated_stamps(s, settling_ns) for s in set_back)
+        self._belated = tuple(late_stamp_range(s, settling_ns) for s in set_back)
         times = max(s.counts.set_back for s in set_back)
         self.air.begin_anew(self._belated, follows=times == self._times_set_back)
         self._times_set_back = times
@@ -213,14 +213,14 @@ class Attempt:
         return self.observation(ReducedWindow(reason=error.reason))
 
 
-def belated_stamps(stream: Stream, settling_ns: int) -> tuple[int, int]:
+def late_stamp_range(stream: Stream, settling_ns: int) -> tuple[int, int]:
     """Return the range of stamps that may still arrive from before a stream was set back."""
     assert stream.set_back_at is not None
     margin = min(settling_ns, stream.set_back_ns // 2)
     return stream.set_back_at - margin, stream.set_back_at + margin
 
 
-def forgotten(stream: Stream, stamp_ns: int) -> bool:
+def is_no_longer_in_memory(stream: Stream, stamp_ns: int) -> bool:
     """Return whether samples from ``stamp_ns`` on are no longer in memory."""
     return stream.forgotten is not None and stream.forgotten >= stamp_ns
 

@@ -112,7 +112,7 @@ class Capture:
         )
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
-        self._answers = Answers()
+        self._answers = OrderAnswers()
         self._probe_stamp: int | None = None
         self._stood: ProbeSample | None = None  # since when, by positions that were sent unasked
         self._unasked_ns = 0
@@ -550,7 +550,7 @@ Key = tuple[int, int]
 """Step and attempt."""
 
 
-class Answers:
+class OrderAnswers:
     """Orders and the probe points that follow; ``unanswered`` counts orders replaced by the next.
 
     ``ordered_ns`` is how far the streams had come when the latest order came; None: not known.

@@ -19,14 +19,20 @@ from rotcal_ros.capture.attempt import (
     AttemptStreams,
     Decide,
     Wait,
-    forgotten,
+    is_no_longer_in_memory,
     nanoseconds,
     seconds,
 )
 from rotcal_ros.capture.passage import decide_passage
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.capture.table import arrival, departure, farthest, mean_angle, why_not_at_rest
+from rotcal_ros.capture.table import (
+    arrival,
+    departure,
+    largest_offset,
+    mean_angle,
+    why_not_at_rest,
+)
 from rotcal_ros.capture.window import (
     SEQUENCE,
     ReducedWindow,
@@ -85,7 +91,7 @@ def _start(
 ) -> int | Wait:
     """Return the stamp of the table's arrival."""
     table, angle = streams.table, attempt.step.table_angle
-    if forgotten(table, attempt.search_ns):
+    if is_no_longer_in_memory(table, attempt.search_ns):
         raise AttemptRejectedError("table feedback: {0}", _MEMORY)
     start = arrival(table, attempt.search_ns, angle, settings)
     if start is not None and start <= deadline:
@@ -105,7 +111,7 @@ def _window(
 ) -> tuple[int, int] | Wait:
     """Return the indices of the first and the last reading of the window."""
     begin = start + nanoseconds(settings.settle_time_s)
-    if forgotten(tracer, begin):
+    if is_no_longer_in_memory(tracer, begin):
         raise AttemptRejectedError("tracer readings: {0}", _MEMORY)
     first = tracer.index(begin)
     last = first + settings.window_samples - 1
@@ -234,12 +240,12 @@ def decide_points(
     begin_ns, end_ns = samples[0].stamp_ns, samples[-1].stamp_ns
     if not table.knows(end_ns):
         return Wait(table, end_ns)
-    if forgotten(table, begin_ns):
+    if is_no_longer_in_memory(table, begin_ns):
         raise AttemptRejectedError("table feedback at the time of the points is not in memory")
     angle = attempt.step.table_angle
     reduced = reduce(samples, attempt.step, settings)
     if departure(table, begin_ns, end_ns, angle, settings) is not None:
-        off = farthest(table, begin_ns, end_ns, angle) / ARCSEC
+        off = largest_offset(table, begin_ns, end_ns, angle) / ARCSEC
         reduced = ReducedWindow(
             reason=phrase(
                 "table not at rest in position during the probe points: up to {0:.4g} "
@@ -257,7 +263,7 @@ def decide_points(
     )
 
 
-def points(reduce: PointReducer) -> Decide:
+def decide_by_points(reduce: PointReducer) -> Decide:
     """Return the way to decide a step whose points ``reduce`` makes one value of."""
     return partial(decide_points, reduce=reduce)
 

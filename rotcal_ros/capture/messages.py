@@ -2,7 +2,7 @@
 
 The functions take any object whose attributes are the message's fields, made by rclpy or
 decoded from a bag, so that the live path and the replay build identical records. An order comes
-as two messages, one for the table and one for the probe, which :class:`Orders` pairs.
+as two messages, one for the table and one for the probe, which :class:`OrderPairing` pairs.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def observation(message: Any) -> Observation:
         n_samples=message.n_samples,
         n_used=message.n_used,
         accepted=bool(message.accepted),
-        reason=words(message.reason, getattr(message, "reason_code", None)),
+        reason=coded_phrase(message.reason, getattr(message, "reason_code", None)),
         table_angle_measured=message.table_angle_measured,
         temperature_c=_number(message.temperature),
         window_start_ns=stamp_ns(message.window_start),
@@ -158,7 +158,7 @@ def observation(message: Any) -> Observation:
     )
 
 
-def words(text: str, code: Any) -> Phrase:
+def coded_phrase(text: str, code: Any) -> Phrase:
     """Return a text with its rotcal_msgs/TextCode; None: a bag from before there were codes."""
     return phrase(text) if code is None else phrase_of(text, code.code, code.arguments)
 
@@ -206,7 +206,7 @@ WAITING_LIMIT: Final = 64
 """Messages that may wait for their partner; beyond that the oldest is forgotten."""
 
 
-class Orders:
+class OrderPairing:
     """Pairs the messages of an order by step and attempt, whichever comes first.
 
     A message that is repeated before its partner comes replaces the earlier one. ``stamp_ns`` is

@@ -18,13 +18,13 @@ from rotcal_ros.capture.attempt import (
     AttemptRejectedError,
     AttemptStreams,
     Wait,
-    forgotten,
+    is_no_longer_in_memory,
     nanoseconds,
     seconds,
 )
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.capture.table import ANGLE, offset
+from rotcal_ros.capture.table import ANGLE, angle_offset
 from rotcal_ros.capture.window import (
     BEAM_BROKEN,
     LENGTH,
@@ -32,7 +32,7 @@ from rotcal_ros.capture.window import (
     STATUS,
     ReadingFault,
     ReducedWindow,
-    beyond,
+    are_spikes,
     sequence_steps,
     too_few_usable,
 )
@@ -168,7 +168,7 @@ def decide_passage(
     read = _readings(streams, step)
     # An angle that wraps around may come in the run-up, too, a whole turn early.
     since_ns = max(attempt.search_ns, attempt.due_ns - _half_turn_ns(step))
-    if forgotten(table, since_ns) or forgotten(read, since_ns):
+    if is_no_longer_in_memory(table, since_ns) or is_no_longer_in_memory(read, since_ns):
         raise AttemptRejectedError(
             "feedback or readings from the begin of the turn are no longer in memory"
         )
@@ -254,7 +254,7 @@ def first_passage(table: Stream, since_ns: int, until_ns: int, step: Step) -> Pa
 
 def _ahead(angles: Floats, step: Step) -> Floats:
     """Return how far ``angles`` (n,) are past that of a step in the sense of its turn, rad."""
-    return np.asarray(np.sign(_turn(step).speed) * offset(angles, step.table_angle))
+    return np.asarray(np.sign(_turn(step).speed) * angle_offset(angles, step.table_angle))
 
 
 def _turn(step: Step) -> Turn:
@@ -288,7 +288,7 @@ def _observe(
     if reason := why_no_reading_counts(passed, ahead, step, settings):
         reduced = ReducedWindow(reason=reason)
     elif step.kind == PointKind.REFLECTOR:
-        reduced = reduced_length(ahead, values, missing, settings)
+        reduced = reduce_passing_lengths(ahead, values, missing, settings)
     else:
         reduced = _reduced(ahead, stamps, values, settings)
     window = (int(stamps[0]), int(stamps[-1])) if len(stamps) else None
@@ -351,7 +351,7 @@ def _missing(sequence: Floats, ahead: Floats, passing: float) -> int:
     return round(float(lost @ share))
 
 
-def reduced_length(
+def reduce_passing_lengths(
     ahead: Floats, values: Floats, missing: int, settings: CaptureSettings
 ) -> ReducedWindow:
     """Return the cubic through lengths at the angle, or what is wrong with them.
@@ -372,7 +372,7 @@ def reduced_length(
         curve = FittedCurve.through(ahead[used], length[used], CUBIC)
         if len(good) < TELLING:
             break
-        spikes = good[beyond(np.abs(length[good] - curve.at(ahead[good])), settings)]
+        spikes = good[are_spikes(np.abs(length[good] - curve.at(ahead[good])), settings)]
         faults[good], faults[spikes] = ReadingFault.NONE, ReadingFault.SPIKE
         used = good[faults[good] == ReadingFault.NONE]
         if len(used) == len(curve.left):

@@ -25,7 +25,7 @@ PATIENCE_S: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class MessageOrigin:
     """Where a message comes from: its publisher, and its number among the publisher's messages.
 
     ``publisher`` is empty and ``number`` None if the middleware does not provide them.
@@ -119,7 +119,7 @@ class PublisherFilter:
             self.intruders.clear()
             self._last.clear()
 
-    def accepts(self, topic: str, origin: Origin) -> bool:
+    def accepts(self, topic: str, origin: MessageOrigin) -> bool:
         """Return whether a message counts; the publisher of one that does not is noted.
 
         Without identities the message numbers decide: those of one publisher increase, and a
@@ -146,10 +146,10 @@ class PublisherFilter:
 
 
 RUN: Final = "run"
-"""Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
+"""Value in a beat: the run of the plan that a node works for; see :func:`unique_run_name`."""
 
 
-def run_name(plan: Any) -> str:
+def unique_run_name(plan: Any) -> str:
     """Return a unique name for the run that a rotcal_msgs/CalibrationPlan announces."""
     return f"{plan.plan_id}@{stamp_ns(plan.header.stamp)}"
 

@@ -21,13 +21,13 @@ _REMEMBERED: Final = 1000
 _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 
-def kind_of(reason: str) -> str:
+def reason_kind(reason: str) -> str:
     """Return what is equal for attempts that fail in the same way: the code, and names in it.
 
     Of mere words, as in bags of before, it is all but the numbers.
     """
     if isinstance(reason, Phrase) and reason.parts:
-        names = (kind_of(part) for part in reason.parts if isinstance(part, str))
+        names = (reason_kind(part) for part in reason.parts if isinstance(part, str))
         return ", ".join([reason.template, *names])
     return _NUMBER.sub("#", reason)
 
@@ -46,8 +46,8 @@ class MostFrequentReason:
         examples = {}
         kinds: Counter[str] = Counter()
         for reason in reasons:
-            kinds[kind_of(reason)] += 1
-            examples[kind_of(reason)] = reason
+            kinds[reason_kind(reason)] += 1
+            examples[reason_kind(reason)] = reason
         if not kinds:
             return None
         ((kind, count),) = kinds.most_common(1)
@@ -77,7 +77,7 @@ class Rejections:
             return None
         reason = observation.reason
         self.running.append(reason)
-        kind = kind_of(reason)
+        kind = reason_kind(reason)
         if now_s - self._told_s.get(kind, float("-inf")) < REPEATED_S:
             self._unreported[kind] += 1
             return None

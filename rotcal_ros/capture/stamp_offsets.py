@@ -154,7 +154,7 @@ class StampOffsets:
 
     def judged(self, observation: Observation) -> Observation:
         """Return an observation, rejected if the clocks of its streams differ."""
-        return rejected_for(self.reason_to_reject(), observation)
+        return reject_observation(self.reason_to_reject(), observation)
 
     def _advice(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
         """Return whose clock is off, as far as known, and what to do."""
@@ -213,14 +213,14 @@ class StampOffsets:
         return _agreed([known[bucket] for bucket in wanted])
 
 
-def rejected_for(reason: Phrase | None, observation: Observation) -> Observation:
+def reject_observation(reason: Phrase | None, observation: Observation) -> Observation:
     """Return an observation, rejected for a ``reason``; a reason of its own stays."""
     if not reason or not observation.accepted:
         return observation
     return replace(observation, accepted=False, reason=reason)
 
 
-def is_of_clocks(reason: str) -> bool:
+def is_clock_rejection(reason: str) -> bool:
     """Return whether an observation was rejected because clocks differ."""
     return reason.startswith(_OPENING)
 

@@ -31,7 +31,7 @@ _CHUNK: Final = 512
 """Feedbacks examined at a time: an arrival is usually among the first."""
 
 
-def offset(angles: Floats, commanded: float) -> Floats:
+def angle_offset(angles: Floats, commanded: float) -> Floats:
     """Return measured - commanded angle, in [-pi, pi], without full turns."""
     difference = angles - commanded
     return difference - 2 * pi * np.round(difference / (2 * pi))
@@ -39,7 +39,7 @@ def offset(angles: Floats, commanded: float) -> Floats:
 
 def at_rest(feedback: Floats, commanded: float, settings: CaptureSettings) -> Bools:
     """Return for each row (angle, velocity) whether the table stands at ``commanded`` (rad)."""
-    near = np.abs(offset(feedback[:, ANGLE], commanded)) <= (
+    near = np.abs(angle_offset(feedback[:, ANGLE], commanded)) <= (
         settings.position_tolerance_arcsec * ARCSEC
     )
     slow = np.abs(feedback[:, VELOCITY]) <= settings.velocity_tolerance_deg_s * DEGREE
@@ -82,14 +82,14 @@ def mean_angle(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> f
     Full turns are counted from the commanded angle.
     """
     rows = table.values[table.index(begin_ns) : table.index(end_ns) + 1]
-    offsets = offset(rows[:, ANGLE], commanded)
+    offsets = angle_offset(rows[:, ANGLE], commanded)
     return commanded + fsum(offsets) / len(offsets)
 
 
-def farthest(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> float:
+def largest_offset(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> float:
     """Return how far off (rad) the table was at most between two stamps."""
     rows = table.values[table.index(begin_ns) : table.index(end_ns) + 1]
-    return float(np.abs(offset(rows[:, ANGLE], commanded)).max())
+    return float(np.abs(angle_offset(rows[:, ANGLE], commanded)).max())
 
 
 def why_not_at_rest(
@@ -120,7 +120,7 @@ def why_not_at_rest(
     had_velocity = bool(np.isfinite(table.values[:last, VELOCITY]).any())
     return phrase(
         "table not at rest in position for a whole window within {0:.3g} s: {1}", limit,
-        off_in_words(angle, velocity, commanded, settings, had_velocity=had_velocity)
+        describe_offset(angle, velocity, commanded, settings, had_velocity=had_velocity)
     )  # fmt: skip
 
 
@@ -141,7 +141,7 @@ def lasting_feedback_fault(
         return None
     ends = (rows[0].tolist(), rows[-1].tolist())
     first, last = (_feedback_fault(angle, velocity, commanded) for angle, velocity in ends)
-    near = np.abs(offset(rows[:, ANGLE], commanded)) <= _SAME
+    near = np.abs(angle_offset(rows[:, ANGLE], commanded)) <= _SAME
     if first is None or (near.any() and not np.isnan(rows[-1, VELOCITY])):
         return None
     angle = float(rows[-1, ANGLE])
@@ -156,7 +156,7 @@ def _came_since(table: Stream, since_ns: int | None, angle: float) -> bool:
     return at < len(table.stamps) and not is_near(float(table.values[at, ANGLE]), angle, DEGREE)
 
 
-def off_in_words(
+def describe_offset(
     angle: float,
     velocity: float,
     commanded: float,
@@ -169,7 +169,7 @@ def off_in_words(
     One that ``had_velocity`` before lacks it while its joint has not begun to obey: so says
     table_adapter.
     """
-    off = float(offset(np.array([angle]), commanded)[0])
+    off = float(angle_offset(np.array([angle]), commanded)[0])
     if isnan(velocity) and had_velocity:
         return phrase(
             "the last feedback is {0:.4g} arcsec off the commanded {1:.4f} deg (allowed {2:g}), "

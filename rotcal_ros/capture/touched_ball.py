@@ -28,14 +28,14 @@ def touched_centre(
     samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
 ) -> ReducedWindow:
     """Return the centre (m) of the sphere through touch points, where the plan has the ball."""
-    return in_place(fitted_centre(samples, step, settings), step, settings)
+    return reject_if_misplaced(fitted_centre(samples, step, settings), step, settings)
 
 
 def reported_centre(
     samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
 ) -> ReducedWindow:
     """Return the centre (m) that the machine computed, where the plan has the ball."""
-    return in_place(mean_point(samples, step, settings), step, settings)
+    return reject_if_misplaced(mean_point(samples, step, settings), step, settings)
 
 
 def fitted_centre(
@@ -67,7 +67,9 @@ def fitted_centre(
     )
 
 
-def in_place(reduced: ReducedWindow, step: Step, settings: CaptureSettings) -> ReducedWindow:
+def reject_if_misplaced(
+    reduced: ReducedWindow, step: Step, settings: CaptureSettings
+) -> ReducedWindow:
     """Return ``reduced``, rejected when the ball is not where the plan has it."""
     if reduced.reason:
         return reduced

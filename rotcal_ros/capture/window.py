@@ -90,7 +90,7 @@ class TracerStream(Stream):
 
     def _inspect(self, stamps: Stamps, values: Floats) -> Floats:
         """Turn the status into a fault and count faults and lost readings."""
-        faults = classify(values[:, STATUS], values[:, LENGTH], self._max_length)
+        faults = classify_readings(values[:, STATUS], values[:, LENGTH], self._max_length)
         numbers = np.bincount(faults, minlength=len(ReadingFault))
         self.counts.beam_broken += int(numbers[ReadingFault.BEAM_BROKEN])
         self.counts.unstable += int(numbers[ReadingFault.UNSTABLE] + numbers[ReadingFault.UNKNOWN])
@@ -113,7 +113,7 @@ class TracerStream(Stream):
         return np.column_stack([sequence, length, faults])
 
 
-def classify(status: Floats, length: Floats, max_length: float) -> Ints:
+def classify_readings(status: Floats, length: Floats, max_length: float) -> Ints:
     """Return the :class:`ReadingFault` of each reading; all arrays have shape (n,)."""
     faults = np.full(len(status), int(ReadingFault.UNKNOWN), dtype=np.int64)
     for value, fault in _STATUS_FAULT.items():
@@ -172,10 +172,10 @@ def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> Non
     if not good.any():
         return
     distance = np.abs(length[good] - np.median(length[good]))
-    faults[np.flatnonzero(good)[beyond(distance, settings)]] = ReadingFault.SPIKE
+    faults[np.flatnonzero(good)[are_spikes(distance, settings)]] = ReadingFault.SPIKE
 
 
-def beyond(distance: Floats, settings: CaptureSettings) -> Bools:
+def are_spikes(distance: Floats, settings: CaptureSettings) -> Bools:
     """Return which readings are spikes by their ``distance`` (n,) from what they should be, m."""
     # Median and MAD: a spike must not enlarge the limit that finds it.
     limit = settings.spike_limit * _MAD_TO_STD * float(np.median(distance))

@@ -52,7 +52,7 @@ def command(
     the runs, and from errors that all runs share. A result or bag knows the latter; for a table
     --device states them.
     """
-    from rotcal_ros.evaluation.iso230 import iso230, with_device
+    from rotcal_ros.evaluation.iso230 import add_device_uncertainty, iso230
     from rotcal_ros.recordings.result_sources import read_repeated_runs
 
     runs = read_repeated_runs(
@@ -61,7 +61,7 @@ def command(
     if explain:
         return 0
     if device is not None:
-        runs = with_device(runs, device * ARCSEC)
+        runs = add_device_uncertainty(runs, device * ARCSEC)
     figures = iso230(runs)
     if output is not None:
         from rotcal_ros.report.iso230 import diagrams

@@ -148,9 +148,9 @@ class LazyGroup(click.Group):
         follow in a line each, and turn a good exit code into 1. Wrong usage is left to click. A
         closed standard output (``| head``) ends the verb silently.
         """
-        from rotcal_ros.bags.unread_data import unread
+        from rotcal_ros.bags.unread_data import collect_unread
 
-        with unread() as missing:
+        with collect_unread() as missing:
             code = self._code_of(context)
         for text in (text for text, by_verb in missing.items() if not by_verb):
             _complain(f"not read completely: {text}")

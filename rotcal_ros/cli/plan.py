@@ -202,10 +202,10 @@ def power(
     where an effect may do more than 2 standard uncertainties unnoticed, and the verdict line does
     not name it.
     """
-    from rotcal_ros.evaluation.power import Bench, power_rows
+    from rotcal_ros.evaluation.power import PowerBench, power_rows
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
 
-    bench = Bench(prepare_whole(changed(read_configuration(configuration), changes)), runs)
+    bench = PowerBench(prepare_whole(changed(read_configuration(configuration), changes)), runs)
     rows = power_rows(bench, lambda row: click.echo(", ".join(row.cells()), err=True), effects)
     line, alarms = bench.plain(0).verdict_line, bench.false_alarms()
     if as_json:

@@ -136,10 +136,10 @@ def command(
     (source,), (data,) = sources, every
     if not (balls or coarser or groups):
         return show_result(data.solve(), output, as_json=as_json)
-    from rotcal_ros.evaluation.ways import ways
+    from rotcal_ros.evaluation.ways import setting_combinations
 
     separate = None if groups is None else groups == "separate"
-    evaluations = _evaluated(data, source, ways(balls, coarser, separate=separate))
+    evaluations = _evaluated(data, source, setting_combinations(balls, coarser, separate=separate))
     if len(evaluations) == 1:
         return show_result(evaluations[0].result, output, as_json=as_json)
     return _show_evaluations(evaluations, output, as_json)
@@ -205,7 +205,7 @@ def _show_evaluations(
     evaluations: tuple[Evaluation, ...], output: Path | None, as_json: bool
 ) -> int:
     """Print or write several evaluations side by side; the exit code is the worst one's."""
-    from rotcal_ros.evaluation.ways import describe
+    from rotcal_ros.evaluation.ways import describe_evaluations
     from rotcal_ros.foundation.files import write_atomically
 
     for warning in dict.fromkeys(w for e in evaluations for w in e.result.warnings):
@@ -217,5 +217,5 @@ def _show_evaluations(
     if as_json:
         print_json(data)
     else:
-        tell(*describe(evaluations))
+        tell(*describe_evaluations(evaluations))
     return max(VERDICT_EXIT_CODES[evaluation.result.verdict] for evaluation in evaluations)

@@ -56,13 +56,13 @@ def command(
     on the seed and the number of trials, not on the workers. The exit code is 1 if the trials
     contradict the solver's uncertainty.
     """
-    from rotcal_ros.evaluation.monte_carlo import propagated
+    from rotcal_ros.evaluation.monte_carlo import propagate_measurement
     from rotcal_ros.foundation.machine_load import core_count
     from rotcal_ros.recordings.inputs import Input
 
     measured = _read(Input(source, setup, targets, changes, announce=understood))
     with progress("trials") as shown:
-        both = propagated(
+        both = propagate_measurement(
             measured,
             trials=trials,
             digits=digits,

@@ -18,14 +18,14 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.evaluation.common_angles import require_one_table
-from rotcal_ros.evaluation.compare import SURE, TOO_ALIKE, too_alike
+from rotcal_ros.evaluation.compare import SURE, TOO_ALIKE, agrees_too_well
 from rotcal_ros.evaluation.component_groups import (
     GROUPS,
     OPEN,
     ComponentGroup,
     Curves,
-    Joined,
-    union,
+    JoinedAngles,
+    union_of_angles,
 )
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.circumstances import Circumstances
@@ -151,15 +151,21 @@ def wanted_groups(inputs: Sequence[CombinationInput]) -> list[list[str]]:
     return [group for group in wanted if group]
 
 
-def owners_of(group: Sequence[str], inputs: Sequence[CombinationInput]) -> dict[str, Curves]:
+def inputs_that_measured(
+    group: Sequence[str], inputs: Sequence[CombinationInput]
+) -> dict[str, Curves]:
     """Return the curves of those inputs, by name, that measured any component of a ``group``."""
     return {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
 
 
-def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> Result:
+def assemble_result(
+    groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]
+) -> Result:
     """Put the groups together: one set of angles, one verdict."""
     joined = {c: own for group in groups for c, own in group.joined.items()}
-    angles = union([own.angles for own in joined.values()], any(o.period for o in joined.values()))
+    angles = union_of_angles(
+        [own.angles for own in joined.values()], any(o.period for o in joined.values())
+    )
     deviations, covariance, zeros, left_out = _curves(groups, inputs, angles)
     closed = {c: own for c, own in joined.items() if c not in " ".join(left_out)}
     doubtful = [m for m in inputs if m.verdict != "ok"]
@@ -176,7 +182,7 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
             group.chi2_of_noise / group.dof,
         )
         for group in groups
-        if too_alike(group.chi2_of_noise, group.dof, SURE / len(groups))
+        if agrees_too_well(group.chi2_of_noise, group.dof, SURE / len(groups))
     ]
     checked = {n for group in groups if group.dof for names in group.members for n in names}
     unchecked = [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
@@ -280,7 +286,7 @@ def _linked(
     return (*(p for p in protections if p.effect != "gauge"), joined)
 
 
-def _to_all(own: Joined, angles: Floats) -> Floats | None:
+def _to_all(own: JoinedAngles, angles: Floats) -> Floats | None:
     """Return the matrix from a component's angles to all; None if they leave its arc."""
     if len(own.angles) == len(angles):
         return np.eye(len(angles))
@@ -290,7 +296,10 @@ def _to_all(own: Joined, angles: Floats) -> Floats | None:
 
 
 def _read_between(
-    groups: Sequence[ComponentGroup], joined: Mapping[str, Joined], count: int, whole: set[str]
+    groups: Sequence[ComponentGroup],
+    joined: Mapping[str, JoinedAngles],
+    count: int,
+    whole: set[str],
 ) -> list[Phrase]:
     """Return in words what was not measured at all ``count`` angles; ``whole``: is there now."""
     fewer = []
@@ -386,7 +395,7 @@ def join_protections(
     )
 
 
-def weaker(first: Protection, second: Protection) -> Protection:
+def weaker_protection(first: Protection, second: Protection) -> Protection:
     """Return that of two protections against an effect that leaves more unseen."""
 
     def left(p: Protection) -> tuple[bool, int, float]:

@@ -47,7 +47,7 @@ class PairedCurves:
     free: Floats
 
 
-def pair(
+def pair_curves(
     first: MeasuredCurve, second: MeasuredCurve, names: tuple[str, str] = ("first", "second")
 ) -> PairedCurves:
     """Return both curves at the angles of ``first``, ``second`` interpolated by its spline.
@@ -144,7 +144,7 @@ def shared_covariance(
     return np.asarray(both + _rest(first, second) if alike else both, dtype=np.float64)
 
 
-def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
+def with_observation_noise_only(curve: MeasuredCurve) -> MeasuredCurve:
     """Return a curve with the covariance of its observations alone, or as it is if unknown.
 
     Other parts of U, such as an estimated scatter that may not exist, make independent results
@@ -155,13 +155,13 @@ def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
     if raw.influence is None:
         return curve
     by_name = {c: curve.shown * matrix for c, matrix in raw.influence.deviations.items()}
-    matrix = matrix_of(influence := replace(raw.influence, deviations=by_name))
+    matrix = influence_matrix(influence := replace(raw.influence, deviations=by_name))
     if not np.any(matrix):
         return curve
     return replace(curve, covariance=matrix @ matrix.T, raw_data=replace(raw, influence=influence))
 
 
-def matrix_of(influence: Influence) -> Floats:
+def influence_matrix(influence: Influence) -> Floats:
     """Return the influences (m, k) on the one component of a curve."""
     (matrix,) = influence.deviations.values()
     return matrix
@@ -169,7 +169,7 @@ def matrix_of(influence: Influence) -> Floats:
 
 def _columns(influence: Influence, wanted: Ints, causes: list[str]) -> Floats:
     """Return the influences of the ``wanted`` observations, zero for unused ones, and causes."""
-    matrix, c = matrix_of(influence), influence.coordinates
+    matrix, c = influence_matrix(influence), influence.coordinates
     width = len(influence.rows) * c
     index = {row: at for at, row in enumerate(influence.rows.tolist())}
     at = np.array([index.get(row, -1) for row in wanted.tolist()], dtype=np.int64)
@@ -192,11 +192,11 @@ def _rest(first: MeasuredCurve, second: MeasuredCurve) -> Floats:
 def _root(curve: MeasuredCurve) -> Floats:
     """Return the symmetric root (n, n) of the covariance beyond the influences."""
     assert curve.raw_data.influence is not None
-    matrix = matrix_of(curve.raw_data.influence)
+    matrix = influence_matrix(curve.raw_data.influence)
     values, vectors = np.linalg.eigh(curve.covariance - matrix @ matrix.T)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
-def floor(covariance: Floats) -> Floats:
+def covariance_floor(covariance: Floats) -> Floats:
     """Return the variances (n, n) that keep curves of the same data from being exactly one."""
     return NONLINEAR**2 * float(np.mean(covariance.diagonal())) * np.eye(len(covariance))

@@ -18,7 +18,12 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile, chi2_sf, normal_sf
-from rotcal_ros.evaluation.common_angles import PairedCurves, floor, of_observations_alone, pair
+from rotcal_ros.evaluation.common_angles import (
+    PairedCurves,
+    covariance_floor,
+    pair_curves,
+    with_observation_noise_only,
+)
 from rotcal_ros.foundation.arrays import Bools, Floats, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import (
@@ -129,7 +134,7 @@ def compare(
             normalised_error=-turned.normalised_error,
             offset=-turned.offset,
         )
-    both = pair(first, second, names)
+    both = pair_curves(first, second, names)
     angles, raw = both.angles, both.first - both.second
     covariance = _of_difference(both)
     exact = not np.any(covariance)
@@ -140,7 +145,9 @@ def compare(
     agree = _agree(normalised, p_value)
     least = chi2
     if both.shared is None and not exact:
-        bare = pair(of_observations_alone(first), of_observations_alone(second), names)
+        bare = pair_curves(
+            with_observation_noise_only(first), with_observation_noise_only(second), names
+        )
         least = _align(raw, _of_difference(bare), basis)[2]
     doubts = [
         phrase(OFFSETS_OFF if curve.open_zeros else "{0}: {1}", name, curve.verdict_line)
@@ -149,7 +156,7 @@ def compare(
     ]
     why = None if agree else _suspicion(both, second)
     alike = [phrase("{0} (chi2/dof {1:.2f})", phrase(TOO_ALIKE), least / dof)] * (
-        not exact and too_alike(least, dof)
+        not exact and agrees_too_well(least, dof)
     )
     harmonics = harmonic_basis(angles, align_order)
     return Comparison(
@@ -174,7 +181,7 @@ def _of_difference(both: PairedCurves) -> Floats:
     if both.shared is None:
         return covariance
     apart = covariance - both.shared - both.shared.T
-    return np.asarray(apart + floor(0.5 * covariance), dtype=np.float64)
+    return np.asarray(apart + covariance_floor(0.5 * covariance), dtype=np.float64)
 
 
 def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floats, float, int]:
@@ -211,7 +218,7 @@ def _suspicion(both: PairedCurves, second: MeasuredCurve) -> Phrase | None:
     mirrored = None
     if second.period:
         mirrored = -interpolation_matrix(second.angles, -both.angles, TURN) @ second.deviation
-    return suspicion(both.first, both.second, mirrored)
+    return suspected_cause(both.first, both.second, mirrored)
 
 
 def _agree(normalised: Floats, p_value: float) -> bool:
@@ -253,7 +260,7 @@ def _notes(both: PairedCurves, why: Phrase | None, exact: bool) -> list[Phrase]:
     return notes
 
 
-def too_alike(chi2: float, dof: int, level: float = SURE) -> bool:
+def agrees_too_well(chi2: float, dof: int, level: float = SURE) -> bool:
     """Return whether chance makes so small a chi-square less often than ``level``."""
     return dof > 0 and 1.0 - chi2_sf(chi2, dof) < level
 
@@ -268,7 +275,9 @@ SCALES: Final = {
 }
 
 
-def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> Phrase | None:
+def suspected_cause(
+    first: Floats, second: Floats, second_mirrored: Floats | None
+) -> Phrase | None:
     """Return what may be wrong with one of two curves, if their shapes show it.
 
     ``first`` and ``second`` are the values at the same angles, ``second_mirrored`` the negative

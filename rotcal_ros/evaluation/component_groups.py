@@ -46,7 +46,7 @@ SHARED: Final = " + "
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class OpenOffset:
     """An offset of one component (m or rad) that ``input`` leaves open and ``others`` measured.
 
     ``name`` as in :class:`FreeDirection`; ``offset`` is how far the values of the input are off,
@@ -98,7 +98,7 @@ class ComponentGroup:
     """
 
     members: tuple[tuple[str, ...], ...]
-    joined: Mapping[str, Joined]
+    joined: Mapping[str, JoinedAngles]
     columns: Mapping[str, slice]
     value: Floats
     spread: Floats
@@ -115,7 +115,7 @@ class ComponentGroup:
     farthest: str = ""
     differs: str = ""
     interpolated: tuple[str, ...] = ()
-    links: tuple[Link, ...] = ()
+    links: tuple[OpenOffset, ...] = ()
 
     @property
     def name(self) -> str:
@@ -157,7 +157,7 @@ class ComponentGroup:
         )
 
 
-def surest_evaluations(inputs: Mapping[str, Curves]) -> list[str]:
+def most_certain_inputs(inputs: Mapping[str, Curves]) -> list[str]:
     """Return the inputs that count: of evaluations of the same data the one that is surest.
 
     The same noise tells each of them how large it is, a little otherwise: as if they had more than
@@ -203,13 +203,13 @@ class GroupLayout(NamedTuple):
     knows.
     """
 
-    joined: dict[str, Joined]
+    joined: dict[str, JoinedAngles]
     columns: dict[str, slice]
     between: tuple[str, ...]
     common: Floats
 
 
-def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> GroupLayout:
+def lay_out_group(components: Sequence[str], inputs: Mapping[str, Curves]) -> GroupLayout:
     """Return the unknowns of ``components``; DataError for angles that cannot be joined."""
     joined = {
         c: join_angles({name: curves[c] for name, curves in inputs.items() if c in curves})
@@ -219,13 +219,13 @@ def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> GroupLa
     for c, own in joined.items():
         columns[c] = slice(start, start := start + len(own.angles))
     between = tuple(name for own in joined.values() for name in own.between)
-    common = unknown({c: own.angles for c, own in joined.items()})
+    common = gauge_basis({c: own.angles for c, own in joined.items()})
     return GroupLayout(joined, columns, between, common)
 
 
-def links_of(
+def find_open_offsets(
     group: ComponentGroup, inputs: Mapping[str, Curves], parts: Mapping[str, ObservedCurves]
-) -> Iterator[Link]:
+) -> Iterator[OpenOffset]:
     """Yield offsets of single components that the group knows and one input leaves open."""
     for (name, curves), part in zip(inputs.items(), parts.values(), strict=True):
         end = 0
@@ -250,7 +250,7 @@ def links_of(
                     word = phrase(
                         "{0}, that with {1:.6g} deg against the others", phrase(word), first
                     )
-                yield Link(
+                yield OpenOffset(
                     component=c,
                     input=name,
                     name=word,
@@ -284,7 +284,9 @@ class ObservedCurves:
         return np.asarray(seen - self.free @ (self.free.T @ seen))
 
 
-def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> ObservedCurves:
+def curves_of_input(
+    name: str, inputs: Mapping[str, Curves], layout: GroupLayout
+) -> ObservedCurves:
     """Return what one input says about the unknowns of a group."""
     joined, columns, _, common = layout
     own = {c: inputs[name][c] for c in joined if c in inputs[name]}
@@ -297,18 +299,18 @@ def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> Obs
     values = {c: curve.deviation[rows[c]] for c, curve in own.items()}
     # Columns of the same number are one direction in both of a pair.
     open_zeros = np.concatenate([curve.free_columns[rows[c]] for c, curve in own.items()])
-    known = unknown(angles)
+    known = gauge_basis(angles)
     return ObservedCurves(
         values=np.concatenate(list(values.values())),
         design=np.concatenate(designs),
-        free=orthonormal(np.hstack([known, open_zeros])),
+        free=orthonormal_basis(np.hstack([known, open_zeros])),
         known=known.shape[1],
         rows=rows,
         grow=_turning(angles, values),
     )
 
 
-def unknown(angles: Mapping[str, Floats]) -> Floats:
+def gauge_basis(angles: Mapping[str, Floats]) -> Floats:
     """Return an orthonormal basis (m, q) of what no method knows, at ``angles`` by component.
 
     An offset of every component and, for a pair or one of it, a plate that is shifted or tilted:
@@ -319,10 +321,10 @@ def unknown(angles: Mapping[str, Floats]) -> Floats:
     if any(c in pair for pair in PAIRS for c in angles):
         columns.append(_stacked(angles, lambda t, c: np.sin(t) if c in seconds else np.cos(t)))
         columns.append(_stacked(angles, lambda t, c: np.cos(t) if c in seconds else -np.sin(t)))
-    return orthonormal(np.column_stack(columns))
+    return orthonormal_basis(np.column_stack(columns))
 
 
-def orthonormal(columns: Floats) -> Floats:
+def orthonormal_basis(columns: Floats) -> Floats:
     """Return an orthonormal basis (m, q) of the span of ``columns`` (m, k) of about unit size."""
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(u[:, s > 1e-9 * max(np.max(s, initial=0.0), 1.0)], dtype=np.float64)
@@ -364,7 +366,7 @@ LINKING: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Joined:
+class JoinedAngles:
     """The angles (n,) rad of a combined curve, ascending, and how each input sees the curve.
 
     ``designs`` holds for every input the matrix (m, n) and ``rows`` which of its values (m,) are
@@ -378,7 +380,7 @@ class Joined:
     between: tuple[str, ...]
 
 
-def join_angles(curves: Mapping[str, MeasuredCurve]) -> Joined:
+def join_angles(curves: Mapping[str, MeasuredCurve]) -> JoinedAngles:
     """Return the union of the angles of all curves that are joined by common ones.
 
     Curves that share fewer than two angles with the rest are compared with it by interpolation,
@@ -410,10 +412,10 @@ def join_angles(curves: Mapping[str, MeasuredCurve]) -> Joined:
                 "the same arc"
             )
         designs[name] = interpolation_matrix(angles, own[rows[name]], period)
-    return Joined(angles, period, designs, rows, tuple(between))
+    return JoinedAngles(angles, period, designs, rows, tuple(between))
 
 
-def union(angles: Sequence[Floats], turn: bool) -> Floats:
+def union_of_angles(angles: Sequence[Floats], turn: bool) -> Floats:
     """Return all ``angles`` once, ascending, wrapped into one turn when they go round."""
     return _merged([np.mod(a, TURN) if turn else a for a in angles], turn)[0]
 

@@ -402,7 +402,7 @@ def runs_of(result: Result) -> BidirectionalRuns | None:
     return replace(measured, common=_common_to_all_runs(measured, covariance))
 
 
-def with_device(runs: BidirectionalRuns, std: float) -> BidirectionalRuns:
+def add_device_uncertainty(runs: BidirectionalRuns, std: float) -> BidirectionalRuns:
     """Return ``runs`` with a standard uncertainty (rad) of the device at every target.
 
     It is the same in all runs, independent from target to target, and adds to what is known.

@@ -37,19 +37,19 @@ from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, white
 from rotcal_ros.evaluation.combination import (
     Combination,
     CombinationInput,
-    owners_of,
-    result_of,
+    assemble_result,
+    inputs_that_measured,
     wanted_groups,
-    weaker,
+    weaker_protection,
 )
 from rotcal_ros.evaluation.common_angles import (
-    floor,
-    matrix_of,
-    of_observations_alone,
+    covariance_floor,
+    influence_matrix,
     same_angles,
     shared_covariance,
+    with_observation_noise_only,
 )
-from rotcal_ros.evaluation.compare import SURE, too_alike
+from rotcal_ros.evaluation.compare import SURE, agrees_too_well
 from rotcal_ros.evaluation.component_groups import (
     ENLARGEMENTS,
     GROUPS,
@@ -58,14 +58,14 @@ from rotcal_ros.evaluation.component_groups import (
     Curves,
     Enlargement,
     GroupLayout,
-    Joined,
+    JoinedAngles,
     ObservedCurves,
-    laid_out,
-    links_of,
-    orthonormal,
-    part_of,
-    surest_evaluations,
-    unknown,
+    curves_of_input,
+    find_open_offsets,
+    gauge_basis,
+    lay_out_group,
+    most_certain_inputs,
+    orthonormal_basis,
 )
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
@@ -133,9 +133,9 @@ class _Shared:
         """Return what inputs share in ``groups`` of components; DataError where nothing does."""
         layouts, every = [], []
         for group in groups:
-            curves = owners_of(group, inputs)
-            layouts.append(layout := laid_out(group, curves))
-            every.append({name: part_of(name, curves, layout) for name in curves})
+            curves = inputs_that_measured(group, inputs)
+            layouts.append(layout := lay_out_group(group, curves))
+            every.append({name: curves_of_input(name, curves, layout) for name in curves})
         nothing = [np.zeros((len(layout.common), 0)) for layout in layouts]
         return cls(inputs, layouts, every, nothing)
 
@@ -167,7 +167,7 @@ class _Shared:
     def of_observations(self, curves: Mapping[str, Curves]) -> dict[str, Curves]:
         """Return curves; those that share nothing have the covariance of observations alone."""
         return {
-            name: {c: of_observations_alone(curve) for c, curve in own.items()}
+            name: {c: with_observation_noise_only(curve) for c, curve in own.items()}
             if len(self.clusters[name]) == 1
             else own
             for name, own in curves.items()
@@ -201,7 +201,7 @@ class _Shared:
         """Return the curves of an instrument alone."""
         return next(m.curves for m in self.inputs if m.name == name)
 
-    def joined(self, component: str) -> Joined:
+    def joined(self, component: str) -> JoinedAngles:
         """Return the angles of a component."""
         return next(o.joined[component] for o in self.layouts if component in o.joined)
 
@@ -223,7 +223,7 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     rows = np.concatenate([curve_model.curves[c][there[c]] for c in meets])
     seen = np.concatenate([meets[c][there[c]] @ shared.basis[shared.columns[c]] for c in meets])
     groups = [{c: angles[there[c]] for c in meets if c in group} for group in GROUPS]
-    zeros = block_diag(*(unknown(group) for group in groups if group))
+    zeros = block_diag(*(gauge_basis(group) for group in groups if group))
     inverse = np.linalg.pinv(rows, rcond=NONE)
     beyond = np.eye(len(rows)) - rows @ inverse
     bound = beyond @ zeros
@@ -279,7 +279,10 @@ class _Known:
         values = np.concatenate([own.values for _, own, _, _ in found])
         design = np.concatenate([own.design @ shared.basis[slot] for _, own, slot, _ in found])
         # A line between angles joins no zeros: it follows values with several zeros up and down.
-        free = [orthonormal(np.hstack([own.free, own.design @ left])) for _, own, _, left in found]
+        free = [
+            orthonormal_basis(np.hstack([own.free, own.design @ left]))
+            for _, own, _, left in found
+        ]
         covariance = _covariance([(name, own) for name, own, _, _ in found], curves)
         # Lengths and angles are compared in their own mean uncertainties.
         scale = np.concatenate([
@@ -328,7 +331,9 @@ def _covariance(
     known = [found for found in stated if found is not None]
     influences = [np.zeros((len(rows), 0)) for _, _, rows, _ in each]
     if len(known) == len(each):
-        influences = [matrix_of(i)[rows] for i, (_, _, rows, _) in zip(known, each, strict=True)]
+        influences = [
+            influence_matrix(i)[rows] for i, (_, _, rows, _) in zip(known, each, strict=True)
+        ]
     rests = []
     for (n, c, rows, grow), mine in zip(each, influences, strict=True):
         own = curves[n][c].covariance[np.ix_(rows, rows)]
@@ -347,7 +352,7 @@ def _covariance(
     if len({n for n, _ in parts}) > 1:
         rounded = max(-np.linalg.eigvalsh(total)[0], 0.0)
         rounded = min(rounded, ROUNDED * float(np.mean(total.diagonal())))
-        total += floor(total) + rounded * np.eye(len(total))
+        total += covariance_floor(total) + rounded * np.eye(len(total))
     return total
 
 
@@ -574,7 +579,7 @@ class _Views:
         """Return a group with the offsets that one input leaves open and others measured."""
         parts = self.shared.parts[k]
         curves = {name: self.shared.curves_of(name) for name in parts}
-        return replace(group, links=tuple(links_of(group, curves, parts)))
+        return replace(group, links=tuple(find_open_offsets(group, curves, parts)))
 
 
 def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") -> Combination:
@@ -597,7 +602,7 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
     every = [_Shared.of(inputs, [group]) for group in wanted_groups(inputs)]
     level = SURE / max(1, sum(len(shared.parts[0]) > 1 for shared in every))
     groups = [_combined(shared, enlarge, level) for shared in every]
-    return Combination(result_of(groups, inputs), tuple(groups))
+    return Combination(assemble_result(groups, inputs), tuple(groups))
 
 
 def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentGroup:
@@ -609,7 +614,7 @@ def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentG
             own.observable(shared.basis) for n, own in parts.items() if n not in layout.between
         ]
         shared = shared.without_open(joining)
-    known, counting = shared.known(curves), surest_evaluations(curves)
+    known, counting = shared.known(curves), most_certain_inputs(curves)
     surest, views = known, _Views.by_results(shared, known)
     best = views
     if len(counting) < len(curves):
@@ -624,7 +629,7 @@ def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentG
         ) from error
     tested = chi2, dof, chi2_sf(chi2, dof) if dof else 1.0
     group = best.group(0, best.fit, tested, level)
-    if too_alike(chi2, dof):  # by less noise they agree less well
+    if agrees_too_well(chi2, dof):  # by less noise they agree less well
         noise = _Views.by_results(shared, shared.known(shared.of_observations(curves)))
         group = replace(group, chi2_of_noise=noise.fit.chi2)
     if not group.consistent:
@@ -715,7 +720,7 @@ def _result(
     instruments: Sequence[JointInput],
 ) -> Result:
     """Return the result of all groups, with what the engine found and doubts."""
-    result = result_of(groups, views.shared.inputs)
+    result = assemble_result(groups, views.shared.inputs)
     own = {p.effect: p for p in found.protections() if p.effect == "gauge" and result.protections}
     details: dict[str, Any] = {**result.details, **found.details()}
     joint = replace(
@@ -727,7 +732,8 @@ def _result(
         warnings=(*found.doubts, *result.warnings),
         details=details,
         protections=tuple(
-            weaker(p, own[p.effect]) if p.effect in own else p for p in result.protections
+            weaker_protection(p, own[p.effect]) if p.effect in own else p
+            for p in result.protections
         ),
     )
     if found.verdict == "failed":

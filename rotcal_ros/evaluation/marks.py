@@ -72,7 +72,7 @@ class Conformity:
         return phrase("{0}; conformance probability {1}", decision, _percent(self.probability))
 
 
-def decide(values: Floats, stds: Floats, tolerance: float) -> Decision:
+def decide_conformity(values: Floats, stds: Floats, tolerance: float) -> Decision:
     """Return the decision about ``values`` (n,) with ``stds`` (n,) against +-``tolerance``."""
     size, guard = np.abs(values), COVERAGE_FACTOR * stds
     if np.all(size <= tolerance - guard):
@@ -95,7 +95,7 @@ def conformities(result: Result, identity: Identity) -> tuple[Conformity, ...]:
             probability = _whole_curve(
                 values, result.covariance.get(name, np.diag(std**2)), tolerance
             )
-            decision = decide(values, std, tolerance)
+            decision = decide_conformity(values, std, tolerance)
             found.append(Conformity(name, tolerance, decision, probability, worst))
     return tuple(found)
 
@@ -167,12 +167,12 @@ def marks(result: Result, truth: Mapping[str, Any] | None = None) -> tuple[Mark,
     about = Mark(
         "measurement", result.verdict, result.verdict_words, coverage_note(result.not_tested)
     )
-    doubt = withheld(result, truth)
-    against = tolerance(result.deviations, result.std, result.circumstances.identity, doubt)
+    doubt = why_withheld(result, truth)
+    against = tolerance_mark(result.deviations, result.std, result.circumstances.identity, doubt)
     return (about,) if against is None else (about, against)
 
 
-def tolerance(
+def tolerance_mark(
     deviations: Mapping[str, Floats],
     std: Mapping[str, Floats],
     identity: Identity,
@@ -189,7 +189,7 @@ def tolerance(
     if doubt:
         words = phrase("undecided, because U is not stated ({0})", _all(agreed))
         return Mark("tolerance", UNDECIDED, words)
-    found = {name: decide(deviations[name], std[name], agreed[name]) for name in agreed}
+    found = {name: decide_conformity(deviations[name], std[name], agreed[name]) for name in agreed}
     kind = next((k for k in (BEYOND, UNDECIDED) if k in found.values()), WITHIN)
     named = {name: limit for name, limit in agreed.items() if found[name] == kind}
     return Mark("tolerance", kind, phrase("{0} {1}", phrase(kind), _all(named)))
@@ -208,17 +208,17 @@ SURELY_WRONG: Final = 2.0
 """Distance in U, four standard uncertainties: no honest curve is that far from the truth."""
 
 
-def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:
+def why_withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:
     """Return why no uncertainty of ``result`` may be stated; None if it may.
 
     ``truth`` is the content of the truth.json of a simulation.
     """
-    if reason := withheld_by(result.verdict, result.warnings):
+    if reason := why_verdict_withholds(result.verdict, result.warnings):
         return reason
     return None if truth is None else _contradicted(result, truth)
 
 
-def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
+def why_verdict_withholds(verdict: str, warnings: Sequence[str]) -> str | None:
     """Return why a verdict forbids to state an uncertainty; None if it does not."""
     if verdict == "ok":
         return None
@@ -226,9 +226,12 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
     return phrase("the verdict is {0}: {1}", phrase(verdict), why)
 
 
-def beside_the_curves(result: Result, *, valid: bool) -> list[str]:
+def further_statements(result: Result, *, valid: bool) -> list[str]:
     """Return what is said beside the deviations, in a sentence each; with U where ``valid``."""
-    return [*(_line(axis, valid=valid) for axis in result.axes), *reversals(result, valid=valid)]
+    return [
+        *(_line(axis, valid=valid) for axis in result.axes),
+        *reversal_statements(result, valid=valid),
+    ]
 
 
 def _line(axis: AxisLine, *, valid: bool) -> str:
@@ -242,7 +245,7 @@ def _line(axis: AxisLine, *, valid: bool) -> str:
     return phrase("Axis at ({0}) mm, from its nominal place: {1}.", place, ", ".join(found))
 
 
-def reversals(result: Result, *, valid: bool) -> list[str]:
+def reversal_statements(result: Result, *, valid: bool) -> list[str]:
     """Return mean and largest reversal of what was measured from both sides, in a sentence each.
 
     B_i of ISO 230-2; with U where it is ``valid``.
@@ -269,7 +272,7 @@ def reversals(result: Result, *, valid: bool) -> list[str]:
     return found
 
 
-def not_covered(result: Result) -> tuple[str, ...]:
+def uncovered_effects(result: Result) -> tuple[str, ...]:
     """Return the effects that a stated uncertainty leaves out."""
     if not result.protections:
         return (
@@ -278,7 +281,9 @@ def not_covered(result: Result) -> tuple[str, ...]:
     return result.unprotected
 
 
-def at_angles(angles: Floats, truth: Mapping[str, Any], component: str) -> tuple[Floats, Bools]:
+def injected_at_angles(
+    angles: Floats, truth: Mapping[str, Any], component: str
+) -> tuple[Floats, Bools]:
     """Return the injected values (n,), SI, at ``angles`` (n,), and where they are known."""
     values = truth.get("deviations", {}).get(component)
     if values is None:
@@ -292,7 +297,7 @@ def at_angles(angles: Floats, truth: Mapping[str, Any], component: str) -> tuple
 def _contradicted(result: Result, truth: Mapping[str, Any]) -> str | None:
     """Return in words where the injected deviations lie far outside the band, or None."""
     for name in result.components:
-        injected, known = at_angles(result.angles, truth, name)
+        injected, known = injected_at_angles(result.angles, truth, name)
         expanded = COVERAGE_FACTOR * result.std[name]
         error = np.abs(result.deviations[name] - injected)
         times = np.divide(error, expanded, out=np.zeros_like(error), where=known & (expanded > 0))

@@ -219,7 +219,7 @@ class PropagatedComponent:
 
 
 @dataclass(frozen=True, eq=False)
-class Propagated:
+class PropagatedResult:
     """A result and the trials about it; ``seed`` repeats them."""
 
     result: Result
@@ -291,7 +291,7 @@ class Propagated:
         }
 
 
-def propagated(
+def propagate_measurement(
     measured: Measurements,
     *,
     trials: int,
@@ -299,7 +299,7 @@ def propagated(
     seed: int,
     workers: int,
     progress: Progress | None = None,
-) -> Propagated:
+) -> PropagatedResult:
     """Solve what was measured and run at most ``trials`` about it, see :func:`propagate`."""
     spread = propagate(
         measured.trials(),
@@ -310,4 +310,4 @@ def propagated(
         block=min(BLOCK, trials),
         progress=progress,
     )
-    return Propagated(measured.solve(), spread, seed)
+    return PropagatedResult(measured.solve(), spread, seed)

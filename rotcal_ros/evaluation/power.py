@@ -86,7 +86,7 @@ class PowerRow:
         return self.effect, self.treatment, size, f"{self.error:.2g}", named
 
 
-class Bench:
+class PowerBench:
     """Measures one plan again and again; the undisturbed solutions are kept."""
 
     def __init__(self, calibration: Calibration, runs: int) -> None:
@@ -155,18 +155,18 @@ class Bench:
         named = effect in self.plain(0).unprotected
         facts = (effect, disturbance.what, treatment, disturbance.unit)
         if allowed > 0.0:
-            error = share_of(attempt, allowed, self.runs).error
+            error = detection_share(attempt, allowed, self.runs).error
             first = min(2.0 * allowed, disturbance.largest)
-            beyond = search(attempt, first, disturbance.largest, self.runs)
+            beyond = search_detectable_size(attempt, first, disturbance.largest, self.runs)
             held = np.inf if error is None else error
             larger = beyond.size, beyond.error
             return PowerRow(*facts, allowed, beyond.reached, True, held, named, larger)
-        found = search(attempt, disturbance.start, disturbance.largest, self.runs)
+        found = search_detectable_size(attempt, disturbance.start, disturbance.largest, self.runs)
         return PowerRow(*facts, found.size, found.reached, False, found.error, named)
 
 
 def power_rows(
-    bench: Bench,
+    bench: PowerBench,
     report: Callable[[PowerRow], object] = lambda row: None,
     effects: Collection[str] = (),
 ) -> list[PowerRow]:
@@ -235,7 +235,7 @@ Try = Callable[[float, int], Trial]
 
 
 @dataclass(frozen=True)
-class Share:
+class DetectionShare:
     """How many trials of a size were noticed; ``error`` is the largest rms error of the others.
 
     It is taken over the unnoticed trials, at the worst of all angles and components, in stated
@@ -254,7 +254,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Found:
+class DetectableSize:
     """The outcome of a search.
 
     ``size`` is noticed with the wanted probability; if no size up to the largest is, ``reached``
@@ -267,20 +267,22 @@ class Found:
     error: float
 
 
-def search(attempt: Try, start: float, largest: float, runs: int, power: float = POWER) -> Found:
+def search_detectable_size(
+    attempt: Try, start: float, largest: float, runs: int, power: float = POWER
+) -> DetectableSize:
     """Return from which size up to ``largest`` an effect is noticed with probability ``power``.
 
     ``runs`` trials decide about a size. The largest is tried first: an effect that is not noticed
     even there needs no search. The search begins at ``start`` and assumes that the probability
     grows with the size.
     """
-    below: Share | None = None
-    above: Share | None = None
-    shares: list[Share] = []
+    below: DetectionShare | None = None
+    above: DetectionShare | None = None
+    shares: list[DetectionShare] = []
 
     def look(size: float) -> None:
         nonlocal below, above
-        share = share_of(attempt, size, runs)
+        share = detection_share(attempt, size, runs)
         shares.append(share)
         if share.noticed / share.trials >= power:
             above = share
@@ -289,7 +291,7 @@ def search(attempt: Try, start: float, largest: float, runs: int, power: float =
 
     look(largest)
     if above is None:
-        return Found(largest, False, _error_at(largest, shares))
+        return DetectableSize(largest, False, _error_at(largest, shares))
     below = above = None
     look(min(start, largest))
     while above is None and below is not None:
@@ -298,14 +300,14 @@ def search(attempt: Try, start: float, largest: float, runs: int, power: float =
     while below is None and above.size > 1e-6 * start:
         look(above.size / FACTOR)
     if below is None:  # noticed even where there is next to nothing: a verdict that is never ok
-        return Found(above.size, True, 0.0)
+        return DetectableSize(above.size, True, 0.0)
     for _ in range(HALVINGS):
         look(exp(0.5 * (log(below.size) + log(above.size))))
     size = _between(below, above, power)
-    return Found(size, True, _error_at(size, shares))
+    return DetectableSize(size, True, _error_at(size, shares))
 
 
-def share_of(attempt: Try, size: float, runs: int) -> Share:
+def detection_share(attempt: Try, size: float, runs: int) -> DetectionShare:
     """Try a size ``runs`` times, or fewer if it is clearly noticed too seldom."""
     noticed, errors = 0, []
     number = 0
@@ -320,10 +322,10 @@ def share_of(attempt: Try, size: float, runs: int) -> Share:
     error = None
     if len(errors) >= ENOUGH:
         error = float(np.sqrt(np.mean(np.square(errors), axis=0).max(initial=0.0)))
-    return Share(size, number, noticed, error)
+    return DetectionShare(size, number, noticed, error)
 
 
-def _between(below: Share, above: Share, power: float) -> float:
+def _between(below: DetectionShare, above: DetectionShare, power: float) -> float:
     """Return the size of probability ``power`` between two that enclose it."""
     low, high = (-normal_isf(share.probability) for share in (below, above))
     wanted = -normal_isf(power)
@@ -331,7 +333,7 @@ def _between(below: Share, above: Share, power: float) -> float:
     return exp((1.0 - part) * log(below.size) + part * log(above.size))
 
 
-def _error_at(size: float, shares: list[Share]) -> float:
+def _error_at(size: float, shares: list[DetectionShare]) -> float:
     """Return the error of an unnoticed effect of ``size``, in proportion to the nearest known.
 
     It is inf if no size left enough trials unnoticed.

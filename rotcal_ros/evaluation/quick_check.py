@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.evaluation.common_angles import PairedCurves, pair
+from rotcal_ros.evaluation.common_angles import PairedCurves, pair_curves
 from rotcal_ros.foundation.arrays import Bools, Floats, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
@@ -88,7 +88,7 @@ def quick_check(
     for name, curve in (("earlier", earlier), ("new", new)):
         if curve.verdict_line.startswith("failed"):
             raise DataError(f"the {name} result: the verdict is failed: measure again")
-    both = pair(new, earlier, ("the new measurement", "the earlier result"))
+    both = pair_curves(new, earlier, ("the new measurement", "the earlier result"))
     if both.shared is not None:
         raise DataError(
             "the new measurement rests on observations of the earlier result: nothing new was "

@@ -146,7 +146,7 @@ def _curve(
     return MeasuredCurve(position[order], deviation[order], covariance, period)
 
 
-def without_polygon(reading: MeasuredCurve, polygon: MeasuredCurve) -> MeasuredCurve:
+def subtract_polygon(reading: MeasuredCurve, polygon: MeasuredCurve) -> MeasuredCurve:
     """Return ``reading`` without the calibrated face errors of the polygon.
 
     ``polygon`` gives, for each table angle, the error of the face that then faces the

@@ -23,7 +23,8 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, ROTATIONS, unit_of
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.results import Verdict, finite_column, finite_columns
+from rotcal_ros.foundation.file_numbers import finite_column, finite_columns
+from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.untrusted import load_json, read_errors_as, read_text
 from rotcal_ros.methods import find_method
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.evaluation.marks import withheld
+from rotcal_ros.evaluation.marks import why_withheld
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.observations import Observation
@@ -53,7 +53,7 @@ class Evaluation:
         }
 
 
-def ways(
+def setting_combinations(
     balls: Sequence[str], coarser: Sequence[int], *, separate: bool | None = None
 ) -> tuple[tuple[str, ...], ...]:
     """Return the changes of settings for every combination of ball lists and grids.
@@ -102,7 +102,7 @@ def largest_differences(method: Method, first: Result, second: Result) -> dict[s
     return {name: float(np.abs(left[name] - right[name]).max()) for name in names}
 
 
-def describe(evaluations: Sequence[Evaluation]) -> list[str]:
+def describe_evaluations(evaluations: Sequence[Evaluation]) -> list[str]:
     """Return lines for people: each way with its largest U (k = 2), if it may be stated."""
     lines = []
     for evaluation in evaluations:
@@ -114,7 +114,7 @@ def describe(evaluations: Sequence[Evaluation]) -> list[str]:
         for name in result.components:
             unit, label = unit_of(name)
             expanded = COVERAGE_FACTOR * float(result.std[name].max()) / unit
-            shown = "not stated" if withheld(result) else f"{expanded:.3f} {label}"
+            shown = "not stated" if why_withheld(result) else f"{expanded:.3f} {label}"
             line = f"  {name}  U (k = {COVERAGE_FACTOR:g}) {shown}"
             if name in evaluation.differences:
                 line += (

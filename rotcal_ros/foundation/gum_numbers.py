@@ -17,7 +17,7 @@ EXACT: Final = "0"
 def last_digit_place(expanded: float) -> int:
     """Return the place of the last digit of ``expanded`` > 0: -2 is a hundredth, 1 is ten.
 
-    >>> place_of(0.0996), place_of(0.0994), place_of(1234.0)
+    >>> last_digit_place(0.0996), last_digit_place(0.0994), last_digit_place(1234.0)
     (-2, -3, 2)
     """
     place = _exact(expanded).adjusted() - SIGNIFICANT_DIGITS + 1
@@ -64,7 +64,7 @@ def typeset_minus(number: str) -> str:
 def value_to_place(number: float, place: int, *, sign: bool = False) -> str:
     """Return a number to a place of :func:`last_digit_place`, with its sign if ``sign`` is true.
 
-    >>> value_to(3.14159, -2), value_to(1234.0, 2), value_to(5.0, -1, sign=True)
+    >>> value_to_place(3.14159, -2), value_to_place(1234.0, 2), value_to_place(5.0, -1, sign=True)
     ('3.14', '1200', '+5.0')
     """
     rounded = _rounded(number, place)

@@ -155,7 +155,7 @@ class _Later:
 def lazy_load(place: str) -> Any:
     """Return what "module:name" names, loaded when it is used: most of a plug-in seldom is.
 
-    >>> later("math:floor")(2.5)
+    >>> lazy_load("math:floor")(2.5)
     2
     """
     return _Later(place)

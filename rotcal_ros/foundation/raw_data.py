@@ -13,12 +13,15 @@ import binascii
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Observation
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 MOST_INFLUENCES: Final = 1_500_000
 """Most numbers in the influences of a result (8 MB of its file); with more, none are kept."""
@@ -57,7 +60,7 @@ class Influence:
         rows = np.array([number[row] for row in self.rows.tolist()], dtype=np.int64)
         return replace(self, rows=rows)
 
-    def tied(self, to: Floats) -> Influence:
+    def tied(self, to: Floats | csr_array) -> Influence:
         """Return the influences on ``to`` (k, m) times the deviations (m,)."""
         return replace(self, deviations={c: to @ own for c, own in self.deviations.items()})
 
@@ -113,7 +116,7 @@ class RawData:
             return cls(hashes)
         return cls(hashes, begun, ended)
 
-    def tied(self, to: Floats) -> RawData:
+    def tied(self, to: Floats | csr_array) -> RawData:
         """Return the raw data of a result that is ``to`` (k, m) times this one."""
         found = self.influence
         return self if found is None else replace(self, influence=found.tied(to))

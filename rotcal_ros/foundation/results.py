@@ -25,9 +25,21 @@ import numpy as np
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.compact import (
+    Spread,
+    covariances_from,
+    difference_variance,
+    kept,
+    plain_covariance,
+    plain_covariances,
+    spread_from,
+    variances_of,
+    written,
+)
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.file_numbers import finite_column, finite_columns, floats
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
 from rotcal_ros.foundation.language import Phrase, codes_of, join_texts, noted, phrase, with_codes
 from rotcal_ros.foundation.protection import BOTH_LINES, Effect, Protection, ordered, unprotected
@@ -220,24 +232,32 @@ class Directions:
     """A deviation for approaches from either side, at the ``angles`` (k,) rad that have both.
 
     ``forward`` (k,) with increasing and ``reverse`` (k,) with decreasing angle count from the same
-    zero as the deviations of the result, which are their mean. ``covariance`` (2 k, 2 k) is that
-    of both together, forward first. Raises DataError when the shapes do not fit, or for NaN.
+    zero as the deviations of the result, which are their mean. ``spread`` of 2 k values is the
+    covariance of both together, forward first, as it is kept. Raises DataError when the shapes
+    do not fit, or for NaN.
     """
 
     angles: Floats
     forward: Floats
     reverse: Floats
-    covariance: Floats
+    spread: Spread
 
     def __post_init__(self) -> None:
         for name in ("forward", "reverse"):
             _require_numbers(f"the direction {name}", self.angles, getattr(self, name))
-        wanted, found = (2 * len(self.angles),) * 2, np.shape(self.covariance)
-        if found != wanted or not np.all(np.isfinite(self.covariance)):
+        wanted, found = (2 * len(self.angles),) * 2, (len(self.spread),) * 2
+        if isinstance(self.spread, np.ndarray):
+            found = np.shape(self.spread)
+        if found != wanted or not np.all(np.isfinite(variances_of(self.spread))):
             raise DataError(
                 f"the covariance of both directions has shape {found} or is not finite, expected "
                 f"{wanted} finite numbers: forward, then reverse, at {len(self.angles)} angles"
             )
+
+    @property
+    def covariance(self) -> Floats:
+        """That of both together, written out."""
+        return written(self.spread)
 
     @property
     def reversal(self) -> Floats:
@@ -247,10 +267,8 @@ class Directions:
     @property
     def reversal_std(self) -> Floats:
         """The standard uncertainties (k,) of the reversal, from the joint covariance."""
-        k = len(self.angles)
-        difference = np.hstack([np.eye(k), -np.eye(k)])
-        variance = np.sum((difference @ self.covariance) * difference, axis=1)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+        k = np.arange(len(self.angles))
+        return np.sqrt(difference_variance(self.spread, k + len(k), k))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -290,7 +308,7 @@ class Zeros:
         columns = [d.columns.get(component, np.zeros(n)) for d in self.free]
         return np.column_stack(columns) if columns else np.zeros((n, 0))
 
-    def mapped(self, matrix: Floats) -> Zeros:
+    def mapped(self, matrix: Any) -> Zeros:
         """Return the same for deviations that are ``matrix`` (m, n) times the present ones."""
         moved = (
             FreeDirection(d.name, {c: matrix @ column for c, column in d.columns.items()})
@@ -315,7 +333,8 @@ class Result:
 
     ``angles`` (n,) are the commanded table angles in radians. ``deviations``, ``std`` map ISO
     230-1 names to (n,) arrays, ``covariance`` to (n, n) arrays. ``adjacent_deviations`` (n - 1,)
-    are the deviations of the steps between neighbouring angles, in radians. ``sigma0`` is
+    are the deviations of the steps between neighbouring angles, in radians. A covariance that is
+    kept as few numbers (:mod:`.compact`) is written out when it is asked for. ``sigma0`` is
     the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
     ``details`` are for people: nothing but the figures of a method reads them. ``protections``
     say what was done about each effect that could spoil the result; empty when not stated.
@@ -463,16 +482,17 @@ class Result:
             "angles_rad": self.angles,
             "deviations": self.deviations,
             "std": self.std,
-            "covariance": self.covariance,
         }
+        data |= plain_covariances(kept(self.covariance))
         if self.adjacent_deviations is not None:
             data["adjacent_deviations_rad"] = self.adjacent_deviations
         if self.adjacent_std is not None:
             data["adjacent_std_rad"] = self.adjacent_std
         if self.directions:
             data["directions"] = {
-                name: {FILE_NAMES.get(key, key): v for key, v in json_fields(both).items()}
-                for name, both in self.directions.items()
+                name: {"angles_rad": own.angles, "forward": own.forward, "reverse": own.reverse}
+                | plain_covariance(own.spread)
+                for name, own in self.directions.items()
             }
         data |= self._places()
         if self.zeros.counts_from != UNKNOWN:
@@ -671,8 +691,6 @@ _WHOLE: Final[Mapping[str, type]] = {
     "used": np.bool_,
 }
 """Columns of the residuals that are not floats."""
-_ROUNDING: Final = 1e-6
-"""Share of the largest variance by which a covariance may exceed what the variances allow."""
 _TEXTS: Final = ("rejected", "warnings", "protections", "details", "zeros", "circumstances")
 
 
@@ -715,7 +733,7 @@ def _result(data: Mapping[str, Any]) -> Result:
         angles=angles,
         deviations=deviations,
         std=std,
-        covariance=_covariances(data["covariance"], n),
+        covariance=covariances_from(data, n),
         sigma0=plain.sigma0,
         dof=plain.dof,
         n_observations=plain.n_observations,
@@ -769,7 +787,7 @@ def _budget(data: Any, n: int) -> dict[str, Floats]:
     """Return the shares by source; empty if the details have something else of that name."""
     if not isinstance(data, Mapping) or any(np.shape(share) != (n,) for share in data.values()):
         return {}
-    return {source: _floats(share, f"budget.{source}") for source, share in data.items()}
+    return {source: floats(share, f"budget.{source}") for source, share in data.items()}
 
 
 def _error_motion(data: Any) -> ErrorMotion | None:
@@ -782,7 +800,7 @@ def _error_motion(data: Any) -> ErrorMotion | None:
 
 def _placement(data: Mapping[str, Any]) -> Placement:
     positions = finite_column(data["positions"], "placement.positions")
-    stations = _floats(data["stations"], "placement.stations")
+    stations = floats(data["stations"], "placement.stations")
     if not np.all(np.isfinite(stations)) or np.any(positions % 1.0):
         raise ValueError("placement: expected finite stations, and whole numbers as positions")
     return Placement(
@@ -794,7 +812,7 @@ def _placement(data: Mapping[str, Any]) -> Placement:
 
 
 def _axis(data: Mapping[str, Any]) -> AxisLine:
-    covariance = _floats(data["covariance"], "axes.covariance")
+    covariance = floats(data["covariance"], "axes.covariance")
     if not np.all(np.isfinite(covariance)):
         raise ValueError("axes.covariance: expected finite numbers")
     value, std, origin = (finite_column(data[n], f"axes.{n}") for n in ("value", "std", "origin"))
@@ -805,20 +823,20 @@ def _axis(data: Mapping[str, Any]) -> AxisLine:
 def _side(values: Any, targets: int, name: str) -> Floats | None:
     if values is None:
         return None
-    side = _floats(values, f"runs.{name}")
+    side = floats(values, f"runs.{name}")
     if side.ndim != 2 or len(side) != targets:
         raise ValueError(f"runs.{name}: expected a row for each of {targets} targets")
     return side
 
 
 def _directions(data: Any) -> dict[str, Directions]:
-    columns = [field.name for field in fields(Directions)]
-    return {
-        name: Directions(
-            **{c: _floats(both[FILE_NAMES.get(c, c)], f"directions.{name}.{c}") for c in columns}
-        )
-        for name, both in dict(data).items()
-    }
+    found = {}
+    for name, both in dict(data).items():
+        where = f"directions.{name}"
+        keys = ("angles_rad", "forward", "reverse")
+        angles, up, down = (floats(both[key], f"{where}.{key}") for key in keys)
+        found[name] = Directions(angles, up, down, spread_from(both, 2 * len(angles), where))
+    return found
 
 
 def _residuals(data: Mapping[str, Any]) -> Residuals:
@@ -829,7 +847,7 @@ def _residuals(data: Mapping[str, Any]) -> Residuals:
         key = FILE_NAMES.get(name, name)
         whole = _WHOLE.get(name)
         columns[name] = (
-            _floats(data[key], f"residuals.{key}")
+            floats(data[key], f"residuals.{key}")
             if whole is None
             else np.asarray(data[key], whole)
         )
@@ -845,56 +863,11 @@ def _residuals(data: Mapping[str, Any]) -> Residuals:
     return Residuals(**columns, std=std, coordinates=coordinates, unit=unit)
 
 
-def finite_columns(data: Any, where: str, shape: tuple[int, ...]) -> dict[str, Floats]:
-    """Return the arrays of finite numbers by component at ``where`` in a file, of one ``shape``.
-
-    ValueError for anything else.
-    """
-    columns = {name: _floats(values, f"{where}.{name}") for name, values in dict(data).items()}
-    for name, column in columns.items():
-        if column.shape != shape or not np.all(np.isfinite(column)):
-            raise ValueError(f"{where}.{name}: expected finite numbers of the shape {shape}")
-    return columns
-
-
-def _covariances(data: Any, n: int) -> dict[str, Floats]:
-    """Return covariance matrices by component; none exceeds what its variances allow."""
-    found = finite_columns(data, "covariance", (n, n))
-    for name, matrix in found.items():
-        std = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
-        bound = np.outer(std, std) + _ROUNDING * float(np.max(std**2, initial=0.0))
-        if np.any(np.abs(matrix) > bound):
-            raise ValueError(f"covariance.{name}: it contradicts its variances")
-    return found
-
-
-def finite_column(values: Any, where: str) -> Floats:
-    """Return the list of finite numbers at ``where`` in a file; ValueError for anything else."""
-    column = _floats(values, where)
-    if column.ndim != 1 or not np.all(np.isfinite(column)):
-        raise ValueError(f"{where}: expected a list of finite numbers")
-    return column
-
-
 def _optional(data: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Floats | None:
     values = data.get(name)
     if values is None:
         return None
-    column = _floats(values, name)
+    column = floats(values, name)
     if column.shape != shape:
         raise ValueError(f"{name}: expected numbers of the shape {shape}")
     return column
-
-
-def _floats(values: Any, where: str) -> Floats:
-    """Return numbers as an array, null as NaN; ValueError for texts, which numpy would take."""
-    try:
-        found = np.asarray(values)
-        if found.dtype.kind in "US":
-            raise ValueError("it holds texts")
-        numbers = found.astype(np.float64)
-    except (ArithmeticError, TypeError, ValueError) as error:
-        raise ValueError(f"{where}: not an array of numbers: {error}") from error
-    if np.any(np.isinf(numbers)):
-        raise ValueError(f"{where}: it holds infinite numbers")
-    return numbers

@@ -234,7 +234,7 @@ def as_path_or_table(source: Any, name: str) -> Path | Table:
 
     Raises BagError for what is neither.
 
-    >>> table_of([("angle", "deviation"), (0, 1.5)], "mine").header
+    >>> as_path_or_table([("angle", "deviation"), (0, 1.5)], "mine").header
     ('angle', 'deviation')
     """
     if isinstance(source, str | PathLike):

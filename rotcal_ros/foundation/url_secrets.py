@@ -52,7 +52,7 @@ def has_secret(text: str) -> bool:
 def mask_secrets(text: str) -> str:
     """Return ``text`` with *** for what is secret in URLs and connection strings, else as it is.
 
-    >>> masked("no answer: s3://key:pw@host/bag?x-amz-signature=1f&part=2")
+    >>> mask_secrets("no answer: s3://key:pw@host/bag?x-amz-signature=1f&part=2")
     'no answer: s3://key:***@host/bag?x-amz-signature=***&part=2'
     """
     if ":/" in text:

@@ -15,14 +15,23 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.model import CurveModel, block_rows
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.compact import (
+    CompactCovariance,
+    Covariances,
+    Spread,
+    kept,
+    mapped,
+    variances_of,
+)
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Directions, RepeatedRuns, Result
-from rotcal_ros.methods.added_errors import with_steps
+from rotcal_ros.methods.added_errors import as_small, from_zero, with_steps
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.table_angles import table_angles, visits
 
@@ -53,26 +62,26 @@ class Arrivals:
         """The targets (k',) that have any arrival."""
         return np.unique(self.target)
 
-    def averaging(self) -> Floats:
+    def averaging(self) -> Floats | csr_array:
         """Return (k', m): the mean of all arrivals at each measured target.
 
         Both directions weigh the same at a target that has both.
         """
-        shares = self.by_direction()
-        used = [side.any(axis=1, keepdims=True) for side in shares]
-        return np.asarray(sum(shares) / sum(u.astype(np.float64) for u in used), dtype=np.float64)
+        below, above = self.by_direction()
+        sides = sum((np.diff(side.indptr) > 0).astype(np.float64) for side in (below, above))
+        return as_small(csr_array((below + above) / sides[:, None]))
 
-    def by_direction(self) -> tuple[Floats, Floats]:
+    def by_direction(self) -> tuple[csr_array, csr_array]:
         """Return (k', m) for the mean of the arrivals from below, and for that from above.
 
         A row is zero where a target has none of them.
         """
-        rows = self.target == self.measured[:, None]
-        below, above = (
-            side / np.maximum(side.sum(axis=1, keepdims=True), 1)
-            for side in (rows & self.upward, rows & ~self.upward)
-        )
-        return below, above
+        row, found = np.searchsorted(self.measured, self.target), list[csr_array]()
+        for mine in (np.flatnonzero(self.upward), np.flatnonzero(~self.upward)):
+            share = 1.0 / np.bincount(row[mine], minlength=len(self.measured))[row[mine]]
+            places = (share, (row[mine], mine))
+            found.append(csr_array(places, shape=(len(self.measured), len(row))))
+        return found[0], found[1]
 
 
 def arrivals_of(angles: Sequence[float], runs: int, *, bidirectional: bool) -> Arrivals:
@@ -120,13 +129,12 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
     ecc = result.deviations["ECC"]
     if len(arrivals.target) != len(ecc):
         raise DataError(f"{len(ecc)} stations in the result, {len(arrivals.target)} arrivals")
-    tied = mean_curve(arrivals, from_first=from_first)
-    scatter = scatter_of(result, arrivals)
+    tied, scatter = mean_curve(arrivals, from_first=from_first), scatter_of(result, arrivals)
     spread = {
-        name: result.covariance[name] + scatter[name] ** 2 * np.eye(len(ecc))
+        name: _with_scatter(kept(result.covariance)[name], scatter[name])
         for name in result.deviations
     }
-    total = {name: tied @ matrix @ tied.T for name, matrix in spread.items()}
+    total = {name: mapped(matrix, tied) for name, matrix in spread.items()}
     sides = []
     for name, side in (("forward", arrivals.upward), ("reverse", ~arrivals.upward)):
         table = np.full((len(arrivals.targets), int(arrivals.run.max()) + 1), np.nan)
@@ -136,9 +144,9 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
         result,
         angles=arrivals.targets[arrivals.measured],
         deviations={name: tied @ values for name, values in result.deviations.items()},
-        std={name: np.sqrt(np.maximum(np.diag(matrix), 0.0)) for name, matrix in total.items()},
-        covariance=total,
-        budget=_shared_out(result, total["ECC"].diagonal(), arrivals),
+        std={name: np.sqrt(variances_of(matrix)) for name, matrix in total.items()},
+        covariance=Covariances(total),
+        budget=_shared_out(result, variances_of(total["ECC"]), arrivals),
         details={**result.details, "station_deviations": ecc},
         runs=RepeatedRuns(
             targets=arrivals.targets,
@@ -150,6 +158,13 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
         raw_data=result.raw_data.tied(tied),
     )
     return with_steps(mean) if from_first else mean
+
+
+def _with_scatter(covariance: Spread, std: float) -> Spread:
+    """Return that of values which scatter by ``std`` besides, each by itself."""
+    if not isinstance(covariance, CompactCovariance):
+        return covariance + std**2 * np.eye(len(covariance))
+    return covariance.plus(CompactCovariance.alone(np.full(len(covariance), std)))
 
 
 def mean_of_arrivals(
@@ -199,7 +214,7 @@ class RepeatedTrials:
     """Trials of all arrivals, with their repeatability (c,), m and rad, as c mean curves."""
 
     arrivals: Trials
-    mean: Floats
+    mean: Floats | csr_array
     repeatability_std: Floats
 
     @classmethod
@@ -223,54 +238,63 @@ class RepeatedTrials:
 
 def _directions(
     deviations: Mapping[str, Floats],
-    spread: Mapping[str, Floats],
+    spread: Mapping[str, Spread],
     arrivals: Arrivals,
     from_first: bool,
 ) -> dict[str, Directions]:
     """Return curves from both sides, counted as the mean is, where two or more targets have both.
 
-    ``deviations`` (m,) and their covariances ``spread`` (m, m) are those of all arrivals.
+    ``deviations`` (m,) and their covariances ``spread`` are those of all arrivals.
     """
     sides = arrivals.by_direction()
-    both = sides[0].any(axis=1) & sides[1].any(axis=1)
-    if np.count_nonzero(both) < 2:
+    both = np.flatnonzero((np.diff(sides[0].indptr) > 0) & (np.diff(sides[1].indptr) > 0))
+    if len(both) < 2:
         return {}
-    zero = arrivals.averaging()[:1] * from_first
-    stacked = np.vstack([side[both] - zero for side in sides])
+    stacked = csr_array(vstack([side[both] for side in sides], format="csr"))
+    stacked = as_small(stacked)
+    if from_first:
+        stacked = from_zero(stacked, arrivals.averaging()[:1])
     angles = arrivals.targets[arrivals.measured][both]
     found = {}
     for name, values in deviations.items():
         forward, reverse = np.split(stacked @ values, 2)
-        covariance = stacked @ spread[name] @ stacked.T
-        found[name] = Directions(angles, forward, reverse, covariance)
+        found[name] = Directions(angles, forward, reverse, mapped(spread[name], stacked))
     return found
 
 
-def mean_curve(arrivals: Arrivals, *, from_first: bool = True) -> Floats:
+def mean_curve(arrivals: Arrivals, *, from_first: bool = True) -> Floats | csr_array:
     """Return (k', m): from all arrivals to the mean curve, counted from its first value if so."""
     average = arrivals.averaging()
-    return average - average[:1] if from_first else average
+    return from_zero(average, average[:1]) if from_first else average
 
 
 def scatter_of(result: Result, arrivals: Arrivals) -> dict[str, float]:
     """Return the :func:`repeatability_std` of each component of the result of all arrivals."""
     return {
-        name: repeatability_std(result.deviations[name], result.covariance[name], arrivals)
+        name: repeatability_std(result.deviations[name], kept(result.covariance)[name], arrivals)
         for name in result.components
     }
 
 
-def repeatability_std(ecc: Floats, covariance: Floats, arrivals: Arrivals) -> float:
+def repeatability_std(ecc: Floats, covariance: Spread, arrivals: Arrivals) -> float:
     """Return the standard deviation of one arrival beyond the noise of the measurement, rad.
 
     Pooled over all targets and directions; zero when the noise explains the whole scatter.
     """
     squares, noise, dof = 0.0, 0.0, 0
     group = 2 * arrivals.target + arrivals.upward
-    for value in np.unique(group):
+    values, count = np.unique(group, return_counts=True)
+    for value in values[count > 1]:
         at = np.flatnonzero(group == value)
         centring = np.eye(len(at)) - 1.0 / len(at)
         squares += float(np.sum((centring @ ecc[at]) ** 2))
-        noise += float(np.trace(centring @ covariance[np.ix_(at, at)]))
+        noise += float(np.trace(centring @ _among(covariance, at)))
         dof += len(at) - 1
     return float(np.sqrt(max(squares - noise, 0.0) / dof)) if dof else 0.0
+
+
+def _among(covariance: Spread, at: Ints) -> Floats:
+    """Return the covariance (k, k) between the values ``at`` (k,)."""
+    if isinstance(covariance, CompactCovariance):
+        return covariance.part(at).dense()
+    return covariance[np.ix_(at, at)]

@@ -18,7 +18,7 @@ from rotcal_ros.adjust.engine import Trials as DrawnTrials
 from rotcal_ros.adjust.fit import require_determined
 from rotcal_ros.adjust.model import CurveModel, Model, block_rows
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.capture.decisions import decide_by_points, mean_point
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
@@ -249,7 +249,7 @@ class ByModel:
         where nothing is wrong; a plan that the model could not be solved from is refused.
         """
         usual: dict[str, Any] = {
-            "capture": CaptureRules({PointKind.READING: points(mean_point)}),
+            "capture": CaptureRules({PointKind.READING: decide_by_points(mean_point)}),
             "nominal": self.nominal,
             "check_plan": self.check_plan,
             "tables": tables_of_also,

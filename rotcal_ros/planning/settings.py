@@ -192,13 +192,13 @@ class PlannerSettings:
         doc="s, silence of an instrument after which the planner waits for it; it is lost when "
         "no node publishes its topic any more, or after health.lost_after_s",
     )
-    join_steps: int = expert(
-        8,
-        minimum=1,
-        maximum=1000,
-        doc="finished steps that a resumed plan measures again, to find the new zero of the "
-        "lengths",
-    )
+    join_steps: ClassVar[
+        Annotated[
+            int,
+            "so many finished steps are measured again when a plan is resumed: their mean gives "
+            "the new zero to a third of a length's noise, and shows what else has moved",
+        ]
+    ] = 8
     solve_timeout_s: ClassVar[
         Annotated[
             float,

@@ -18,8 +18,8 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import Scan
-from rotcal_ros.capture.messages import words
-from rotcal_ros.capture.publishers import run_name
+from rotcal_ros.capture.messages import coded_phrase
+from rotcal_ros.capture.publishers import unique_run_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.observations import Observation
@@ -155,7 +155,7 @@ def _configuration_texts(scan: Scan, topics: Topics, strangers: Collection[str])
                     yield from (
                         message.configuration
                         for _, message in part.messages(block)
-                        if run_name(message) not in strangers
+                        if unique_run_name(message) not in strangers
                     )
     if names.CONFIGURATION in scan.attachments:
         yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")
@@ -179,7 +179,7 @@ class RecordedChoice:
         standing = Standing(message.left, message.uncertainty, message.goal)
         step = None if message.stop else message.step
         choice = Choice(
-            step, words(message.reason, getattr(message, "reason_code", None)), standing
+            step, coded_phrase(message.reason, getattr(message, "reason_code", None)), standing
         )
         return cls(message.run, message.number, message.attempt, choice)
 

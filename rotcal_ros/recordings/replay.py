@@ -34,11 +34,11 @@ from rotcal_ros.bags.storage_scan import (
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.capture import messages as records
-from rotcal_ros.capture.announced_runs import strangers
+from rotcal_ros.capture.announced_runs import foreign_plans
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.instruments.steps import StepFinder
-from rotcal_ros.capture.publishers import run_name
-from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
+from rotcal_ros.capture.publishers import unique_run_name
+from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_clock_rejection, reject_observation
 from rotcal_ros.foundation.clock_jumps import jumps_from_metadata
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
 from rotcal_ros.foundation.in_force import describe_contradiction, states_of_axis
@@ -293,7 +293,7 @@ def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozens
         raise DataError(changing)
     attached = {text for text, _ in recorded_setup.attached_configurations(contents.scans)}
     differ = len(attached.union(text for _, text in contents.planned)) > 1
-    foreign = strangers(files, contents.planned, attached, limits) if differ else frozenset()
+    foreign = foreign_plans(files, contents.planned, attached, limits) if differ else frozenset()
     planned = [text for run, text in contents.planned if run not in foreign]
     if asked.configuration is None:
         of_strangers = {text for run, text in contents.planned if run in foreign - left_out}
@@ -434,7 +434,9 @@ class _BagContents:
         if part.role == names.OBSERVATION:
             self.recorded += (records.observation(m) for _, m in part.messages(block))
         elif part.role == names.PLAN:
-            self.planned += ((run_name(m), m.configuration) for _, m in part.messages(block))
+            self.planned += (
+                (unique_run_name(m), m.configuration) for _, m in part.messages(block)
+            )
         elif part.role == names.STEP_CHOICE:
             self.choices += (recorded_setup.RecordedChoice.of(m) for _, m in part.messages(block))
         elif part.role == names.TABLE_IN_FORCE:
@@ -506,9 +508,9 @@ def judged_as_live(
     The ``recorded`` observation of the same attempt counts; without one (foreign bags, killed
     nodes) the estimate from the bag at each observation does, empty for equal clocks.
     """
-    live = {_attempt(o): o.reason for o in recorded if o.accepted or is_of_clocks(o.reason)}
+    live = {_attempt(o): o.reason for o in recorded if o.accepted or is_clock_rejection(o.reason)}
     return tuple(
-        rejected_for(live.get(_attempt(observation), estimate), observation)
+        reject_observation(live.get(_attempt(observation), estimate), observation)
         for observation, estimate in zip(observations, estimates, strict=True)
     )
 

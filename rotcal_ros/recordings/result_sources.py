@@ -22,7 +22,7 @@ from rotcal_ros.evaluation.reference import (
     COLUMNS,
     read_deviations,
     read_reference,
-    without_polygon,
+    subtract_polygon,
 )
 from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
@@ -199,7 +199,7 @@ class References:
     def read(self, path: Path) -> MeasuredCurve:
         """Return the curve in a table without the polygon; raises as :func:`read_reference`."""
         curve = self.faces(path)
-        return curve if self.polygon is None else without_polygon(curve, self.polygon)
+        return curve if self.polygon is None else subtract_polygon(curve, self.polygon)
 
     def faces(self, path: Path) -> MeasuredCurve:
         """Return the curve in a table as it stands there."""

@@ -15,7 +15,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages as records
-from rotcal_ros.capture.instruments.conventions import STAMP, Form
+from rotcal_ros.capture.instruments.conventions import STAMP, NumericFields
 from rotcal_ros.capture.instruments.interpreter import (
     FEEDBACK,
     READING,
@@ -23,7 +23,7 @@ from rotcal_ros.capture.instruments.interpreter import (
     table_samples,
 )
 from rotcal_ros.capture.instruments.steps import Order, Position, StepFinder
-from rotcal_ros.capture.messages import Orders
+from rotcal_ros.capture.messages import OrderPairing
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError
@@ -158,7 +158,7 @@ class StreamFeeder:
         self._slice_ns = max(1, slice_ns)
         self._topics = topics or TopicSettings()
         self._instruments = Interpreter(self._topics, joint)
-        self._orders = Orders()
+        self._orders = OrderPairing()
         self._makers: dict[str, Callable[[Any], Any]] = {
             names.TABLE_ANGLE: self._orders.table_angle,
             names.PROBE_TARGET: self._orders.probe_target,
@@ -272,7 +272,7 @@ class StreamFeeder:
         arrived = block.headers["log_time"][rows].astype(np.int64)
         return np.where(sent > 0, sent, arrived)
 
-    def _numbers(self, block: Block, part: RoleMessages, form: Form) -> NDArray[np.void]:
+    def _numbers(self, block: Block, part: RoleMessages, form: NumericFields) -> NDArray[np.void]:
         """Return the records of a topic of plain numbers, in file order."""
         numbers, channel = (*form.numbers, *form.limits), part.decoder.channel
         found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, len(numbers))))]
@@ -306,7 +306,7 @@ class StreamFeeder:
                 rows[name] = convert(rows[name])
         return rows
 
-    def _form(self, part: RoleMessages) -> Form | None:
+    def _form(self, part: RoleMessages) -> NumericFields | None:
         conventions = self._instruments.conventions
         return conventions.form(part.role, part.decoder.channel.type_name)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotcal_ros import __version__
 from rotcal_ros.evaluation.iso230 import iso230, runs_of
-from rotcal_ros.evaluation.marks import RULE, beside_the_curves, conformities, not_covered
+from rotcal_ros.evaluation.marks import RULE, conformities, further_statements, uncovered_effects
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
@@ -191,7 +191,7 @@ def sentences(result: Result, withheld: str | None) -> list[str]:
     """Return the result in words: ranges with U, axis, reversals, figures of ISO 230-2 of runs."""
     few = len(result.components) <= FEW_SENTENCES
     texts = [_range(result, name, withheld) for name in result.components if few]
-    texts += beside_the_curves(result, valid=not withheld)
+    texts += further_statements(result, valid=not withheld)
     if figures := _positioning(result, withheld):
         texts.append(figures)
     return texts
@@ -219,7 +219,7 @@ def statement_of_u(result: Result, withheld: str | None) -> str:
         "factor k = {0} (about 95 % for a normal distribution), JCGM 100:2008.",
         f"{COVERAGE_FACTOR:g}",
     )
-    missing = join_texts([phrase(effect) for effect in not_covered(result)], ", ")
+    missing = join_texts([phrase(effect) for effect in uncovered_effects(result)], ", ")
     return phrase("{0} It does not cover: {1}.", text, missing) if missing else text
 
 

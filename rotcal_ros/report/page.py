@@ -25,7 +25,7 @@ from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.evaluation.budget import WHOLE, contributions
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
-from rotcal_ros.evaluation.marks import marks, withheld
+from rotcal_ros.evaluation.marks import marks, why_withheld
 from rotcal_ros.evaluation.reliability import Reliability, reliability
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN, unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
@@ -95,7 +95,7 @@ def render_report(report: ReportInput) -> str:
     """Return the report as one HTML page without any reference to other files."""
     result = report.result
     identity = result.circumstances.identity
-    doubt = withheld(result, report.truth)
+    doubt = why_withheld(result, report.truth)
     attempts = [
         [o.step, o.attempt, phrase(o.reason)] for o in report.observations if not o.accepted
     ]
@@ -176,7 +176,7 @@ def _tables_of_the_method(result: Result) -> Sequence[ResultTable]:
 
 def write_tables(result: Result, folder: Path) -> list[Path]:
     """Write all tables of a result as CSV into ``folder``, and return where they are."""
-    stated = not withheld(result)
+    stated = not why_withheld(result)
     found = [deviations_table(result, stated=stated), *steps_table(result, stated=stated)]
     files = {folder / f"{t.name}.csv": t for t in (*found, *_tables_of_the_method(result))}
     folder.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,7 @@ from typing import Final
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.session_identity import require_one_session
-from rotcal_ros.bags.unread_data import unread
+from rotcal_ros.bags.unread_data import collect_unread
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.files import make_folder, write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
@@ -294,7 +294,7 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
     verb: the recorder closes that file, and the report reads the whole bag once more.
     """
     try:
-        with unread(), progress("reading what is there") as shown:
+        with collect_unread(), progress("reading what is there") as shown:
             recording = read_recording(
                 bag, configuration=calibration.configuration, progress=shown
             )

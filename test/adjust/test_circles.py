@@ -253,10 +253,26 @@ def test_the_closed_form_of_a_complete_grid_is_the_pseudo_inverse(size, steps):
     read = np.random.default_rng(size).standard_normal(len(every))
     solved = outputs.times(found.solve(read))
     assert solved == pytest.approx(response @ read, abs=1e-12 * np.abs(solved).max())
-    groups = every.reshape(-1, len(shifts))
     among = design.dense() @ inverse
-    for rows, each in zip(groups, found.among_each(groups), strict=True):
-        assert each == pytest.approx(among[np.ix_(rows, rows)], abs=1e-12)
+    # in the order of reading, and at each place of the table: the latter are alike
+    for groups in (every.reshape(-1, len(shifts)), every.reshape(len(shifts), -1).T):
+        for rows, each in zip(groups, found.among_each(groups), strict=True):
+            assert each == pytest.approx(among[np.ix_(rows, rows)], abs=1e-12)
+
+
+def test_a_kernel_is_kept_for_the_same_weights_alone():
+    shifts = [0, 1, 3]
+    plain = Circular.of(design_of(8, rows_of(8, shifts, closed=False), 3), 2, 8)
+    asked = [np.full(24, 1.0), np.full(24, 2.0), np.repeat([1.0, 2.0, 1.0], 8), np.full(24, 2.0)]
+    for weight in asked:
+        design = plain.weighted(weight)
+        dense = design.dense()
+        leverage = np.einsum("ij,ji->i", dense, np.linalg.pinv(dense))
+        found = design.kernel()
+        assert found.leverage == pytest.approx(leverage, abs=1e-12)
+        assert plain.weighted(weight.copy()).kernel() is found
+        read = np.random.default_rng(3).standard_normal(24)
+        assert dense @ found.solve(read) == pytest.approx(dense @ np.linalg.pinv(dense) @ read)
 
 
 def test_trials_of_the_noise_scatter_by_order_as_is_said():

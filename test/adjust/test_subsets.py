@@ -3,7 +3,13 @@
 import numpy as np
 from linear_worlds import places_on_a_ring
 
-from rotcal_ros.adjust.subsets import distinct, most_of, neighbourhoods, runs
+from rotcal_ros.adjust.subsets import (
+    distinct,
+    most_of,
+    neighbourhoods,
+    neighbourhoods_of_each,
+    runs,
+)
 
 
 def as_sets(subsets):
@@ -26,6 +32,16 @@ def test_neighbourhoods_are_the_nearest():
     assert frozenset([7, 0, 1]) in found
     assert frozenset([0, 4]) not in found
     assert max(map(len, found)) == most_of(8) == 4
+
+
+def test_neighbourhoods_of_several_groups_are_those_of_each():
+    places = np.random.default_rng(1).standard_normal((3, 70, 3))  # more than a word of bits
+    for mine, found in zip(places, neighbourhoods_of_each(places), strict=True):
+        apart = np.linalg.norm(mine[:, None] - mine, axis=2)
+        assert len(as_sets(found)) == len(found)
+        for subset in found:
+            nearest = (set(np.argsort(row)[: subset.sum()].tolist()) for row in apart)
+            assert set(np.flatnonzero(subset).tolist()) in nearest
 
 
 def test_distinct_keeps_each_once_in_order():

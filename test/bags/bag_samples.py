@@ -222,6 +222,17 @@ def simulate(configuration_text: str = CONFIGURATION) -> Run:
     return run
 
 
+def writer_settings(
+    *,
+    chunk_bytes: int = WriterSettings.chunk_bytes,
+    sync_interval_s: float = WriterSettings.sync_interval_s,
+    **stated: Any,
+) -> WriterSettings:
+    """Return settings whose constants are others, so that a short bag has many chunks."""
+    constants = {"chunk_bytes": chunk_bytes, "sync_interval_s": sync_interval_s}
+    return type("ShortBag", (WriterSettings,), constants)(**{"min_free_bytes": 0} | stated)
+
+
 def open_writer(
     folder: Path, settings: WriterSettings | None = None, configuration: str = CONFIGURATION
 ) -> tuple[BagWriter, dict[str, int]]:

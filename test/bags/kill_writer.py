@@ -47,9 +47,7 @@ def record(folder: Path, receipts: Any, how: dict[str, Any]) -> None:
         os.seteuid(65534)
     try:
         earlier = InterruptedSession.read(folder) if how.get("resume") else None
-        settings = WriterSettings(
-            sync_interval_s=0.2, min_free_bytes=0, split_bytes=how.get("split_bytes", 0)
-        )
+        settings = WriterSettings(min_free_bytes=0, split_bytes=how.get("split_bytes", 0))
         writer = BagWriter(folder, settings, earlier=earlier.files if earlier else None)
         if earlier:
             earlier.close_before(writer)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rotcal_ros.bags import blocks
-from rotcal_ros.bags.blocks import Block, joined
+from rotcal_ros.bags.blocks import Block, join_blocks
 from rotcal_ros.bags.mcap_records import CHANNEL, MESSAGE, DamagedRecord
 
 headers = st.tuples(
@@ -28,7 +28,7 @@ def split_chunk(data: bytes, most: int = MOST) -> tuple[Block, blocks.Others]:
     """Return all pieces of a chunk as one."""
     pieces = list(blocks.split_chunk(data, most))
     others = [other for _, found in pieces for other in found]
-    return joined([block for block, _ in pieces] or [EMPTY]), others
+    return join_blocks([block for block, _ in pieces] or [EMPTY]), others
 
 
 EMPTY = Block(b"", np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, blocks.HEADER_TYPE))

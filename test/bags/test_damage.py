@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from bag_samples import START_NS, TYPES, open_writer, serialised
+from bag_samples import START_NS, TYPES, open_writer, serialised, writer_settings
 from mcap.data_stream import ReadDataStream
 from mcap.records import Chunk, MessageIndex
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_records import CHUNK, DATA_END, MAGIC, MESSAGE_INDEX
 from rotcal_ros.bags.mcap_scan import McapScan
-from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.foundation.errors import BagError
 
@@ -30,7 +29,7 @@ class Sample:
 
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Sample:
-    settings = WriterSettings(min_free_bytes=0, chunk_bytes=3000)
+    settings = writer_settings(chunk_bytes=3000)
     writer, channels = open_writer(tmp_path_factory.mktemp("damage") / "bag", settings)
     payloads = []
     with writer:

@@ -12,6 +12,7 @@ import struct
 from pathlib import Path
 
 import pytest
+from bag_samples import writer_settings
 from faulty_disk import CALLS, Fault, FaultyDisk, faults
 from mcap.stream_reader import StreamReader
 
@@ -19,7 +20,6 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.session_verdict import judge_session
-from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
@@ -33,7 +33,7 @@ READINGS = 12
 NUMBER = struct.Struct("<4xQ")
 READING = Channel("/cell/tracer_length", "demo_msgs/msg/Blob", "uint8[] data\n", "", "")
 OBSERVATION = Channel("/cell/observation", "demo_msgs/msg/Number", "uint64 number\n", "", "")
-SETTINGS = WriterSettings(
+SETTINGS = writer_settings(
     min_free_bytes=1, chunk_bytes=1024, split_bytes=8000, sync_interval_s=1.0
 )
 REASONS = {

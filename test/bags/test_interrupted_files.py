@@ -15,7 +15,12 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.interrupted_files import JOURNAL_SUFFIX, InterruptedSession, OpenEnd, open_end
+from rotcal_ros.bags.interrupted_files import (
+    JOURNAL_SUFFIX,
+    InterruptedSession,
+    UnclosedEnd,
+    find_unclosed_end,
+)
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
@@ -48,9 +53,9 @@ def record_ends(data: bytes) -> list[tuple[int, int]]:
     return found
 
 
-def ended(path: Path) -> OpenEnd | None:
+def ended(path: Path) -> UnclosedEnd | None:
     (verdict,) = check_files((path,))
-    return open_end(verdict)
+    return find_unclosed_end(verdict)
 
 
 def close(path: Path, following: str = "next.mcap") -> int:

@@ -2,11 +2,10 @@
 
 import pytest
 from bag_readers import on_node_js
-from bag_samples import simulate, write_run
+from bag_samples import simulate, write_run, writer_settings
 
-from rotcal_ros.bags.interrupted_files import open_end
+from rotcal_ros.bags.interrupted_files import find_unclosed_end
 from rotcal_ros.bags.reader import check_files
-from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
 
 
@@ -18,7 +17,7 @@ def stamp_ns(value):
 @pytest.mark.slow
 def test_every_message_is_read_with_the_same_values(tmp_path):
     run = simulate()
-    counts = write_run(tmp_path / "bag", run, WriterSettings(chunk_bytes=20_000, min_free_bytes=0))
+    counts = write_run(tmp_path / "bag", run, writer_settings(chunk_bytes=20_000))
     found = on_node_js(tmp_path / "bag" / "bag_0.mcap")
     assert {topic: len(values) for topic, values in found.items()} == {
         topic: count for topic, count in counts.items() if count
@@ -46,7 +45,7 @@ def test_a_file_closed_after_an_interruption_is_read_like_any(run_bag, tmp_path)
     path = tmp_path / "killed_0.mcap"
     path.write_bytes(data[: len(data) // 2])
     (verdict,) = check_files((path,))
-    end = open_end(verdict)
+    end = find_unclosed_end(verdict)
     end.close("killed_1.mcap")
     found = on_node_js(path)
     assert {topic: len(values) for topic, values in found.items()} == {

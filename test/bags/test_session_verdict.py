@@ -79,7 +79,7 @@ def resumed(folder: Path) -> Path:
 
 
 def write_split(folder: Path, session: str, begin: int) -> None:
-    settings = WriterSettings(min_free_bytes=0, split_bytes=1, sync_interval_s=0.5)
+    settings = WriterSettings(min_free_bytes=0, split_bytes=1)
     writer, channels = open_writer(folder, settings)
     with writer:
         writer.note(names.RUN, {"number": 0} | ({"session": session} if session else {}))

@@ -1,12 +1,13 @@
-"""Sorting messages by a time without holding them all."""
+"""BlockSorter messages by a time without holding them all."""
 
 import tracemalloc
 
 import numpy as np
 import pytest
 
+from rotcal_ros.bags import time_order
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
-from rotcal_ros.bags.time_order import Sorting
+from rotcal_ros.bags.time_order import BlockSorter
 
 
 def blocks_of(keys, payloads, per_block):
@@ -22,13 +23,17 @@ def blocks_of(keys, payloads, per_block):
         )
 
 
-@pytest.mark.parametrize("run_bytes", [1, 5_000, 1 << 25])
+@pytest.mark.parametrize("together", [1, 64, 1 << 18])
 @pytest.mark.parametrize("per_block", [1, 7, 1000])
-def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(run_bytes, per_block):
+def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(
+    together, per_block, monkeypatch
+):
+    monkeypatch.setattr(time_order, "_PIECE", together)
+    monkeypatch.setattr(time_order, "_ROWS", together)
     rng = np.random.default_rng(8)
     keys = rng.integers(0, 60, 300)
     payloads = [bytes(rng.integers(0, 256, rng.integers(0, 90), np.uint8)) for _ in keys]
-    sorting = Sorting(run_bytes)
+    sorting = BlockSorter()
     for block, mine in blocks_of(keys, payloads, per_block):
         sorting.add(block, mine)
     found = [
@@ -40,16 +45,24 @@ def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(run_bytes
 
 
 def test_nothing_gives_nothing():
-    assert list(Sorting().blocks()) == []
+    assert list(BlockSorter().blocks()) == []
+
+
+def test_messages_without_a_payload_are_sorted():
+    sorting = BlockSorter()
+    for block, mine in blocks_of(np.array([3, 1, 2]), [b""] * 3, 2):
+        sorting.add(block, mine)
+    (block,) = sorting.blocks()
+    assert block.headers["log_time"].tolist() == [1, 2, 3]
+    assert block.headers["sequence"].tolist() == [1, 2, 0]
 
 
 @pytest.mark.slow
-@pytest.mark.slow
-def test_memory_is_that_of_a_run():
+def test_messages_wait_on_the_disk():
     rng = np.random.default_rng(2)
     payload = bytes(1000)
     tracemalloc.start()
-    sorting = Sorting(run_bytes=1 << 20)
+    sorting = BlockSorter()
     for _ in range(30):  # 30 MB
         for block, keys in blocks_of(rng.integers(0, 1 << 40, 1000), [payload] * 1000, 1000):
             sorting.add(block, keys)

@@ -1,11 +1,11 @@
 """Which topics play which role: names that the nodes report and the recorder notes."""
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_roles import CalledOtherwise
+from rotcal_ros.bags.topic_roles import TopicRoleFinder
 
 
 def test_roles_of_topics_follow_what_the_nodes_tell():
-    called = CalledOtherwise("/cell")
+    called = TopicRoleFinder("/cell")
     told = {"capture": {"topic.tracer_length": "/leica/length", "run": ""}, "planner": {"run": ""}}
     called.look(lambda node: told.get(node, {}))
     assert called.role("/leica/length") == names.TRACER_LENGTH

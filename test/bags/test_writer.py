@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from bag_samples import CONFIGURATION, START_NS, TYPES, open_writer, serialised
+from bag_samples import CONFIGURATION, START_NS, TYPES, open_writer, serialised, writer_settings
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.interrupted_files import InterruptedSession
@@ -123,13 +123,8 @@ def test_metadata_is_there_from_the_start_and_complete_at_the_end(tmp_path: Path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "limits", [{"split_bytes": 10_000}, {"split_duration_s": 0.05}], ids=["size", "time"]
-)
-def test_split_files_stand_alone_and_lose_nothing(
-    tmp_path: Path, limits: dict[str, float]
-) -> None:
-    settings = WriterSettings(min_free_bytes=0, chunk_bytes=1024, **limits)  # type: ignore[arg-type]
+def test_split_files_stand_alone_and_lose_nothing(tmp_path: Path) -> None:
+    settings = writer_settings(chunk_bytes=1024, split_bytes=10_000)
     writer, channels = open_writer(tmp_path / "bag", settings)
     with writer:
         for start in range(0, 300, 20):
@@ -178,7 +173,7 @@ class FullDisk:
 def test_full_disk_keeps_all_whole_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
 ) -> None:
-    settings = WriterSettings(min_free_bytes=0, chunk_bytes=1024)
+    settings = writer_settings(chunk_bytes=1024)
     writer, channels = open_writer(tmp_path / "bag", settings)
     fill(writer, channels, 50)
     writer.sync()
@@ -234,7 +229,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 import test_writer
 folder, limit = Path(sys.argv[2]), int(sys.argv[3])
-settings = test_writer.WriterSettings(min_free_bytes=0, chunk_bytes=1024)
+settings = test_writer.writer_settings(chunk_bytes=1024)
 writer, channels = test_writer.open_writer(folder, settings)
 if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))

@@ -6,7 +6,7 @@ import pytest
 from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene, probe_sample
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.capture.capture import Answers
+from rotcal_ros.capture.capture import OrderAnswers
 from rotcal_ros.foundation.observations import PointKind, TableSample
 
 PLAN = make_plan()
@@ -21,7 +21,7 @@ def answer(step, attempt=0, kind=PointKind.REFLECTOR):
 
 
 def test_an_echo_answers_an_order_whichever_comes_first():
-    answers = Answers()
+    answers = OrderAnswers()
     answers.order(order(0))
     assert "step 0, attempt 0: no point on probe_point" in answers.unanswered_order()
     assert answers.complaint() is None
@@ -34,7 +34,7 @@ def test_an_echo_answers_an_order_whichever_comes_first():
 
 
 def test_an_unasked_point_answers_nothing():
-    answers = Answers()
+    answers = OrderAnswers()
     answers.order(order(0))
     answers.hear(answer(0, kind=PointKind.UNKNOWN))
     assert answers.unanswered_order()
@@ -42,7 +42,7 @@ def test_an_unasked_point_answers_nothing():
 
 
 def test_who_echoes_something_else_is_told_both():
-    answers = Answers()
+    answers = OrderAnswers()
     answers.order(order(0, attempt=1))
     answers.hear(answer(0, attempt=0))
     assert "step 0, attempt 1: no point" in answers.complaint()

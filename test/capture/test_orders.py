@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.capture.messages import WAITING_LIMIT, Orders
+from rotcal_ros.capture.messages import WAITING_LIMIT, OrderPairing
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
@@ -33,30 +33,30 @@ def fed(orders, messages):
 def test_the_second_message_completes_the_order():
     expected = Command(7, 1, 0.5, Approach(1), PointKind(1), 3, (1.0, 2.0, 3.0), 2)
     for messages in ((table(7, 1), probe(7, 1)), (probe(7, 1), table(7, 1))):
-        orders = Orders()
+        orders = OrderPairing()
         assert fed(orders, messages[:1]) == []
         assert fed(orders, messages[1:]) == [expected]
         assert fed(orders, messages[1:]) == []  # a complete order is forgotten
 
 
 def test_step_and_attempt_must_agree():
-    assert fed(Orders(), [table(1, 0), probe(1, 1), probe(2, 0)]) == []
+    assert fed(OrderPairing(), [table(1, 0), probe(1, 1), probe(2, 0)]) == []
 
 
 def test_a_repeated_message_replaces_the_earlier_one():
-    (command,) = fed(Orders(), [table(1, angle=0.1), table(1, angle=0.2), probe(1)])
+    (command,) = fed(OrderPairing(), [table(1, angle=0.1), table(1, angle=0.2), probe(1)])
     assert command.table_angle == 0.2
 
 
 def test_nothing_is_joined_after_clear():
-    orders = Orders()
+    orders = OrderPairing()
     assert fed(orders, [table(1)]) == []
     orders.clear()
     assert fed(orders, [probe(1)]) == []
 
 
 def test_memory_is_bounded_and_the_oldest_is_forgotten_first():
-    orders = Orders()
+    orders = OrderPairing()
     assert fed(orders, map(table, range(WAITING_LIMIT + 1))) == []
     later = range(1, WAITING_LIMIT + 1)
     assert [c.step for c in fed(orders, map(probe, later))] == list(later)
@@ -69,7 +69,7 @@ def test_memory_is_bounded_and_the_oldest_is_forgotten_first():
     )
 )
 def test_any_order_of_arrival_gives_every_command_once(messages):
-    commands = fed(Orders(), messages)
+    commands = fed(OrderPairing(), messages)
     assert {(c.step, c.attempt) for c in commands} == {(m.step, m.attempt) for m in messages}
     assert len(commands) == len(messages) // 2
     last = [m.step for k, m in enumerate(messages) if m.step in {n.step for n in messages[:k]}]

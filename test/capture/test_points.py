@@ -8,7 +8,7 @@ import pytest
 from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, replay, table_off
 
 from rotcal_ros.capture import Capture, CaptureRules
-from rotcal_ros.capture.decisions import points
+from rotcal_ros.capture.decisions import decide_by_points
 from rotcal_ros.capture.window import ReducedWindow
 from rotcal_ros.foundation.observations import PointKind
 
@@ -88,7 +88,7 @@ def test_a_method_brings_its_own_way_to_make_one_value():
         seen.append((len(samples), step, settings))
         return ReducedWindow(mean=samples[-1].position, n_used=1, reason="for once")
 
-    capture = Capture(plan, SETTINGS, CaptureRules({PointKind.CENTRE: points(last)}))
+    capture = Capture(plan, SETTINGS, CaptureRules({PointKind.CENTRE: decide_by_points(last)}))
     (found,) = [o for record in scene.by_stamp() for o in capture.feed(record)]
     assert seen == [(4, plan.steps[0], SETTINGS)]
     assert found.mean == scene.probe[-1].position

@@ -6,7 +6,7 @@ from rotcal_ros.capture.publishers import (
     MOST_MISSED,
     PATIENCE_S,
     Intruder,
-    Origin,
+    MessageOrigin,
     PendingPlans,
     PlanOwner,
     PublisherFilter,
@@ -47,21 +47,21 @@ def judge(**publishers):
 )  # fmt: skip
 def test_a_run_hears_those_with_whom_it_began(accepted, events, expected):
     heard = judge(points=accepted)
-    assert [heard.accepts(POINTS, Origin(*event)) for event in events] == expected
+    assert [heard.accepts(POINTS, MessageOrigin(*event)) for event in events] == expected
     assert bool(heard.intruders) == (False in expected)
 
 
 def test_topics_are_judged_each_for_itself():
     heard = judge(points=(OURS,), lengths=(THIRD,))
-    assert not heard.accepts(LENGTHS, Origin(OURS, 1))
-    assert heard.accepts(POINTS, Origin(OURS, 1))
-    assert heard.accepts("/cell/heartbeat", Origin(STRAY, 1))
+    assert not heard.accepts(LENGTHS, MessageOrigin(OURS, 1))
+    assert heard.accepts(POINTS, MessageOrigin(OURS, 1))
+    assert heard.accepts("/cell/heartbeat", MessageOrigin(STRAY, 1))
 
 
 def test_an_intruder_is_named_with_its_topic_and_what_to_do():
     heard = judge(points=(OURS,))
     for publisher in (THIRD, STRAY, THIRD):
-        heard.accepts(POINTS, Origin(publisher, 1))
+        heard.accepts(POINTS, MessageOrigin(publisher, 1))
     first, second = heard.intruders
     assert (first.publisher, second) == (THIRD, Intruder(POINTS, STRAY))
     text = second.describe("second_probe")
@@ -98,14 +98,14 @@ def test_a_topic_that_nobody_publishes_any_more_has_nobody_who_was_started_anew(
 
 def test_the_next_run_begins_without_intruders_and_the_same_words_change_nothing():
     heard = judge(points=(OURS,))
-    heard.accepts(POINTS, Origin(STRAY, 1))
+    heard.accepts(POINTS, MessageOrigin(STRAY, 1))
     heard.accept(PublisherList({POINTS: (OURS,)}))
     assert len(heard.intruders) == 1
     heard.accept(PublisherList({POINTS: (STRAY,)}))
     assert not heard.intruders
-    assert heard.accepts(POINTS, Origin(STRAY, 2))
+    assert heard.accepts(POINTS, MessageOrigin(STRAY, 2))
     heard.accept(PublisherList())
-    assert heard.accepts(POINTS, Origin(OURS, 1))
+    assert heard.accepts(POINTS, MessageOrigin(OURS, 1))
 
 
 def test_all_listeners_read_the_same_words():

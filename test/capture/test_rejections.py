@@ -10,7 +10,7 @@ from rotcal_ros.capture.rejections import (
     MostFrequentReason,
     Rejections,
     TooManyFailedError,
-    kind_of,
+    reason_kind,
 )
 from rotcal_ros.capture.window import BEAM_BROKEN
 from rotcal_ros.foundation.language import phrase
@@ -35,16 +35,16 @@ def rejected(reason, step=0, attempt=0):
     ],
 )
 def test_a_kind_is_a_reason_without_its_numbers(one, other):
-    assert kind_of(one) == kind_of(other)
-    assert kind_of(one) != kind_of("the table moved")
+    assert reason_kind(one) == reason_kind(other)
+    assert reason_kind(one) != reason_kind("the table moved")
 
 
 def test_a_kind_is_a_code_with_the_names_in_it():
     def off(target, why, far):
         return phrase("{0} at target {1}, {2:.3g} m off", phrase(why), target, far)
 
-    assert kind_of(off(1, "gone", 0.1)) == kind_of(off(22, "gone", 3.0))
-    assert kind_of(off(1, "gone", 0.1)) != kind_of(off(1, "turned", 0.1))
+    assert reason_kind(off(1, "gone", 0.1)) == reason_kind(off(22, "gone", 3.0))
+    assert reason_kind(off(1, "gone", 0.1)) != reason_kind(off(1, "turned", 0.1))
 
 
 def test_the_commonest_reason_with_its_latest_example():

@@ -7,7 +7,12 @@ import pytest
 from capture_scenes import MS, SECOND, make_plan
 
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.stamp_offsets import DOUBT_S, OffsetLimits, StampOffsets, is_of_clocks
+from rotcal_ros.capture.stamp_offsets import (
+    DOUBT_S,
+    OffsetLimits,
+    StampOffsets,
+    is_clock_rejection,
+)
 
 ACCEPTED = make_plan().steps[0].observed((0.1,))
 START = 1_700_000_000 * SECOND
@@ -190,7 +195,7 @@ def test_lengths_said_to_be_later_by_more_than_settling_are_rejected_once_that_l
     assert "tracer_length are constantly 0.80 s ahead of those of joint_states" in text
     assert "more than the 0.5 s of settling (capture.settle_time_s)" in text
     assert text.endswith("add 0.80 to topics.length_clock_offset_s")
-    assert is_of_clocks(text)
+    assert is_clock_rejection(text)
     assert offsets.doubt() is None
     assert offsets_of(0.8, seconds=1, many=many, ahead_s=allowed_s).reason_to_reject() is None
     assert doubted(0.4, seconds=4, many=many, ahead_s=allowed_s)

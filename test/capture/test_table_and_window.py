@@ -8,18 +8,18 @@ import pytest
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.capture.table import (
+    angle_offset,
     arrival,
     at_rest,
     departure,
-    farthest,
+    largest_offset,
     mean_angle,
-    offset,
     why_not_at_rest,
 )
 from rotcal_ros.capture.window import (
     ReadingFault,
     ReducedWindow,
-    classify,
+    classify_readings,
     mean_and_scatter,
     reduce_window,
 )
@@ -56,8 +56,8 @@ def test_at_rest_up_to_the_limits_themselves(sign):
 
 def test_full_turns_do_not_count():
     turns = np.array([-7, -1, 0, 1, 30]) * 2.0 * np.pi
-    np.testing.assert_allclose(offset(turns + 0.7, 0.5), 0.2, atol=1e-12)
-    np.testing.assert_allclose(offset(turns - 2.0, 2.0), 2.0 * np.pi - 4.0, atol=1e-12)
+    np.testing.assert_allclose(angle_offset(turns + 0.7, 0.5), 0.2, atol=1e-12)
+    np.testing.assert_allclose(angle_offset(turns - 2.0, 2.0), 2.0 * np.pi - 4.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("row", [0, 1, 511, 512, 513, 1024, 1599])
@@ -100,8 +100,8 @@ def test_mean_and_farthest_take_the_first_feedback_past_the_end_with_them():
     assert mean_angle(stream, 10, 30, 0.0) == 3.0 * BIT
     assert mean_angle(stream, 1, 21, 0.0) == 3.0 * BIT
     assert mean_angle(stream, 10, 20, BIT) == 1.5 * BIT
-    assert farthest(stream, 10, 21, 0.0) == 6.0 * BIT
-    assert farthest(stream, 10, 20, 3.0 * BIT) == 2.0 * BIT
+    assert largest_offset(stream, 10, 21, 0.0) == 6.0 * BIT
+    assert largest_offset(stream, 10, 20, 3.0 * BIT) == 2.0 * BIT
 
 
 def test_why_a_table_is_not_at_rest_in_words():
@@ -227,7 +227,7 @@ def test_a_gap_goes_before_every_other_reason(sequence, words):
 def test_lengths_up_to_the_limit_are_plausible():
     ok = float(LengthStatus.OK)
     length = np.array([20.0, -20.0, np.nextafter(20.0, 30.0), -21.0])
-    assert classify(np.full(4, ok), length, 20.0).tolist() == [
+    assert classify_readings(np.full(4, ok), length, 20.0).tolist() == [
         ReadingFault.NONE, ReadingFault.NONE, ReadingFault.IMPLAUSIBLE, ReadingFault.IMPLAUSIBLE,
     ]  # fmt: skip
 

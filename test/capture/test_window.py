@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.capture.window import ReadingFault, classify, reduce_window
+from rotcal_ros.capture.window import ReadingFault, classify_readings, reduce_window
 from rotcal_ros.foundation.observations import LengthStatus
 
 LOOSE = CaptureSettings(max_std_m=1.0, max_drift_m=1.0, spike_floor_m=0.0)
@@ -56,7 +56,7 @@ def test_fault_of_each_reading():
     ok, broken, unstable = LengthStatus.OK, LengthStatus.BEAM_BROKEN, LengthStatus.UNSTABLE
     status = np.array([ok, ok, ok, ok, broken, unstable, LengthStatus.UNKNOWN, 77])
     length = np.array([1.0, np.nan, -np.inf, -20.1, np.nan, 1.0, 1.0, 1.0])
-    assert classify(status, length, 20.0).tolist() == [
+    assert classify_readings(status, length, 20.0).tolist() == [
         ReadingFault.NONE,
         ReadingFault.NON_FINITE,
         ReadingFault.NON_FINITE,

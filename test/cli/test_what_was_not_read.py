@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
-from rotcal_ros.bags.unread_data import unread
+from rotcal_ros.bags.unread_data import collect_unread
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.nodes.player.replayed_bag import ReplayedBag
 
@@ -109,6 +109,6 @@ def test_a_file_of_the_session_that_is_missing_is_named(place: Path, tmp_path: P
 
 
 def test_a_replay_knows_what_it_does_not_publish(place: Path) -> None:
-    with unread() as missing:
+    with collect_unread() as missing:
         ReplayedBag.read(place / "bad")
     assert [text for text in missing if text.startswith(LOST)]

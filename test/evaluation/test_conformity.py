@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from rotcal_ros.evaluation.marks import conformities, decide
+from rotcal_ros.evaluation.marks import conformities, decide_conformity
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -19,7 +19,7 @@ from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 )  # fmt: skip
 def test_the_guard_band_is_u_on_either_side(value, decision):
     """Tolerance 10, u = 1, U = 2: accepted up to 8, rejected from 12 on."""
-    assert decide(np.array([0.0, value]), np.array([0.0, 1.0]), 10.0) == decision
+    assert decide_conformity(np.array([0.0, value]), np.array([0.0, 1.0]), 10.0) == decision
 
 
 def result(covariance: np.ndarray, values: np.ndarray) -> Result:

@@ -8,7 +8,7 @@ from chances import LONG
 from text_tables import table_in
 
 from rotcal_ros.evaluation.compare import compare, compare_all
-from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.evaluation.reference import read_reference, subtract_polygon
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.units import ARCSEC
@@ -173,7 +173,7 @@ def test_autocollimator_and_polygon():
     polygon = "angle_deg,deviation_arcsec,u_arcsec\n" + "".join(
         f"{a},{f:.12f},0.4\n" for a, f in zip(angles[:-1], faces[:-1], strict=True)
     )
-    table = without_polygon(read_reference(table_in(reading)), read_reference(table_in(polygon)))
+    table = subtract_polygon(read_reference(table_in(reading)), read_reference(table_in(polygon)))
     assert len(table.angles) == 24
     np.testing.assert_allclose(table.deviation, truth(table.angles), atol=1e-15)
     np.testing.assert_allclose(np.sqrt(np.diag(table.covariance)), 0.5 * ARCSEC)
@@ -190,7 +190,7 @@ def test_polygon_without_a_face_is_refused():
         table_in("angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n90,2,0\n180,3,0\n270,1,0\n")
     )
     with pytest.raises(DataError, match="no face for 120 deg"):
-        without_polygon(reading, polygon)
+        subtract_polygon(reading, polygon)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230, require_runs, with_device
+from rotcal_ros.evaluation.iso230 import (
+    BidirectionalRuns,
+    add_device_uncertainty,
+    iso230,
+    require_runs,
+)
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import RepeatedRuns, Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -95,7 +100,7 @@ def test_in_closed_form():
     """E of both directions lies between targets 2 up and 4 down; the device cancels nowhere."""
     steps = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / np.sqrt(2.5)
     up, down = (m[:, None] + np.outer(s, steps) for m, s in ((UP, S_UP), (DOWN, S_DOWN)))
-    figures = iso230(with_device(BidirectionalRuns(TARGETS, up, down), 0.4 * ARCSEC))
+    figures = iso230(add_device_uncertainty(BidirectionalRuns(TARGETS, up, down), 0.4 * ARCSEC))
     told = figures.uncertainties["systematic"]
     assert told.sampling / ARCSEC == pytest.approx(np.sqrt((0.3**2 + 1.6**2) / 5))
     assert told.measurement / ARCSEC == pytest.approx(0.4 * np.sqrt(2))
@@ -125,14 +130,14 @@ def test_nothing_stated_is_said():
     figures = iso230(runs)
     assert not figures.measurement_stated
     assert all(u.measurement == 0.0 for u in figures.uncertainties.values())
-    assert iso230(with_device(runs, ARCSEC)).measurement_stated
+    assert iso230(add_device_uncertainty(runs, ARCSEC)).measurement_stated
     with pytest.raises(DataError, match=r"shape \(3, 3\), expected \(8, 8\)"):
         replace(runs, common=np.eye(3))
 
 
 def test_runs_without_any_scatter_have_unlimited_degrees_of_freedom():
     flat = np.repeat(UP[:, None], 5, axis=1)
-    told = iso230(with_device(BidirectionalRuns(TARGETS, flat, flat), ARCSEC))
+    told = iso230(add_device_uncertainty(BidirectionalRuns(TARGETS, flat, flat), ARCSEC))
     data = json.loads(json.dumps(told.to_dict(), allow_nan=False))["uncertainties"]
     assert data["systematic"]["dof"] is None
     assert data["systematic"]["expanded"] == pytest.approx(1.96 * np.sqrt(2) * ARCSEC, rel=1e-3)

@@ -11,7 +11,13 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.console import print_outcome
-from rotcal_ros.evaluation.marks import COLOURS, Mark, beside_the_curves, marks, reversals
+from rotcal_ros.evaluation.marks import (
+    COLOURS,
+    Mark,
+    further_statements,
+    marks,
+    reversal_statements,
+)
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import AxisLine, Directions, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -76,9 +82,9 @@ def test_the_axis_is_told_where_a_method_finds_it(capsys):
     assert told in render_report(ReportInput(given, "method"))
     print_result(given)
     assert told in capsys.readouterr().err
-    (bare,) = beside_the_curves(given, valid=False)
+    (bare,) = further_statements(given, valid=False)
     assert "XOC +39.40 µm, YOC −3.10 µm" in bare
-    assert beside_the_curves(result(0.0), valid=True) == []
+    assert further_statements(result(0.0), valid=True) == []
 
 
 def test_the_reversal_of_what_was_measured_from_both_sides_is_told_by_page_terminal_and_figure(
@@ -95,7 +101,7 @@ def test_the_reversal_of_what_was_measured_from_both_sides_is_told_by_page_termi
     assert told in render_report(ReportInput(given, "method"))
     print_result(given)
     assert told in capsys.readouterr().err
-    assert "mean +2.00 arcsec; largest +4.00 arcsec" in reversals(given, valid=False)[0]
+    assert "mean +2.00 arcsec; largest +4.00 arcsec" in reversal_statements(given, valid=False)[0]
     of_ecc = next(ax for ax in given.plot().axes if ax.get_ylabel() == "ECC / arcsec")
     lines = {line.get_label(): line.get_ydata() for line in of_ecc.lines}
     np.testing.assert_allclose(lines["↑ forward"], forward / ARCSEC)

@@ -10,7 +10,7 @@ from chances import LONG, most, scatter, share
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.joint import combine
-from rotcal_ros.evaluation.reference import without_polygon
+from rotcal_ros.evaluation.reference import subtract_polygon
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.units import ARCSEC
@@ -115,7 +115,7 @@ def test_thirty_degree_points_of_a_fifteen_degree_reference():
     errors = []
     for seed in range(25):
         plate, reading, polygon = paper_check(seed)
-        comparison = compare(plate, without_polygon(reading, polygon))
+        comparison = compare(plate, subtract_polygon(reading, polygon))
         np.testing.assert_allclose(np.rad2deg(comparison.angles), np.arange(12) * 30.0, atol=1e-9)
         assert not comparison.interpolated.any()
         errors.append(comparison.normalised_error)
@@ -124,7 +124,7 @@ def test_thirty_degree_points_of_a_fifteen_degree_reference():
 
 def test_face_errors_of_the_polygon_matter():
     plate, reading, polygon = paper_check(1)
-    assert compare(plate, without_polygon(reading, polygon)).agree
+    assert compare(plate, subtract_polygon(reading, polygon)).agree
     assert not compare(plate, reading).agree
     wrong = replace(polygon, deviation=-polygon.deviation)
-    assert not compare(plate, without_polygon(reading, wrong)).agree
+    assert not compare(plate, subtract_polygon(reading, wrong)).agree

@@ -12,12 +12,12 @@ from scipy.stats.mstats import mquantiles
 
 from rotcal_ros.evaluation import monte_carlo
 from rotcal_ros.evaluation.monte_carlo import (
-    Propagated,
+    PropagatedResult,
     Propagation,
     compare_with_linear,
     numerical_tolerance,
     propagate,
-    propagated,
+    propagate_measurement,
 )
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.results import Result
@@ -276,7 +276,7 @@ def trials_about(factor=1.0, **changes):
     std[4] *= factor
     k = norm.isf(0.025)
     spread = spread_of(mean - k * std, mean + k * std, mean=mean, std=std, **changes)
-    return Propagated(result, spread, seed=11)
+    return PropagatedResult(result, spread, seed=11)
 
 
 def test_components_are_split_in_the_order_of_all_methods():
@@ -350,7 +350,7 @@ class Prepared:
 def test_an_order_reaches_the_trials_and_the_solver(trials, done, monkeypatch):
     monkeypatch.setattr(monte_carlo, "ProcessPoolExecutor", InThreads)
     seen = []
-    found = propagated(
+    found = propagate_measurement(
         Prepared(7), trials=trials, digits=3, seed=5, workers=2,
         progress=lambda *given: seen.append(given),
     )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotcal_ros.evaluation.power import Trial, search
+from rotcal_ros.evaluation.power import Trial, search_detectable_size
 
 ALPHA = 0.001
 
@@ -25,7 +25,7 @@ def chi_square_trial(dof, direction, errors):
 def test_the_size_found_is_that_of_the_noncentral_chi_square(dof, start):
     direction = np.full(dof, 1.0 / np.sqrt(dof))
     errors = np.array([0.1, -0.25, 0.0])
-    found = search(chi_square_trial(dof, direction, errors), start, 1e4, runs=400)
+    found = search_detectable_size(chi_square_trial(dof, direction, errors), start, 1e4, runs=400)
     noise = np.linspace(1.0, 20.0, 100_000)
     power = stats.ncx2.sf(stats.chi2.isf(ALPHA, dof), dof, noise**2)
     size = float(np.interp(0.95, power, noise))
@@ -35,13 +35,15 @@ def test_the_size_found_is_that_of_the_noncentral_chi_square(dof, start):
 
 
 def test_what_nothing_notices_is_told_at_the_largest_size():
-    found = search(lambda size, _: Trial(False, np.array([3.0 * size])), 1.0, 50.0, runs=30)
+    found = search_detectable_size(
+        lambda size, _: Trial(False, np.array([3.0 * size])), 1.0, 50.0, runs=30
+    )
     assert (found.size, found.reached) == (50.0, False)
     assert found.error == pytest.approx(150.0)
 
 
 def test_what_is_noticed_without_any_effect_does_no_harm():
-    found = search(lambda _size, _number: Trial(True, None), 1.0, 50.0, runs=30)
+    found = search_detectable_size(lambda _size, _number: Trial(True, None), 1.0, 50.0, runs=30)
     assert found.reached
     assert found.size < 1e-5
     assert found.error == 0.0
@@ -55,13 +57,15 @@ def test_the_error_is_that_of_the_trials_which_nobody_noticed():
         noticed = harmful or size > 8.0
         return Trial(noticed, np.array([100.0 * size if harmful else 0.1 * size]))
 
-    found = search(attempt, 1.0, 64.0, runs=40)
+    found = search_detectable_size(attempt, 1.0, 64.0, runs=40)
     assert 7.9 < found.size < 8.1 * 2**0.25
     assert found.error == pytest.approx(0.1 * found.size)
 
 
 def test_an_effect_that_leaves_no_result_unnoticed_has_no_known_error():
     """Half of the trials have no result at all, and those that have one are noticed."""
-    found = search(lambda _size, number: Trial(number % 2 == 0, None), 1.0, 4.0, runs=20)
+    found = search_detectable_size(
+        lambda _size, number: Trial(number % 2 == 0, None), 1.0, 4.0, runs=20
+    )
     assert not found.reached
     assert found.error == np.inf

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.power import Bench, PowerRow, power_rows
+from rotcal_ros.evaluation.power import PowerBench, PowerRow, power_rows
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR, Protection
 from rotcal_ros.foundation.units import MICROMETRE
@@ -56,7 +56,7 @@ def test_no_effect_does_more_than_two_standard_uncertainties_unnoticed_and_unnam
 
 def test_what_the_table_really_does_is_no_error_of_an_effect():
     """The table of this method deviates at random, by two seconds of arc."""
-    bench = Bench(prepare(read_configuration(PLANS / "angle_comparison.yaml")), 1)
+    bench = PowerBench(prepare(read_configuration(PLANS / "angle_comparison.yaml")), 1)
     assert np.abs(bench.trial("drift", 1e-15, 3).error).max() < 1e-3
 
 
@@ -120,7 +120,7 @@ def drift(calibration):
 
 
 def test_a_row_tells_where_the_verdict_turns_and_what_happened_until_then(real):
-    row = Bench(Plain(real), runs=20).row(drift(real))
+    row = PowerBench(Plain(real), runs=20).row(drift(real))
     assert (row.effect, row.treatment, row.unit) == ("drift", "tested", "um")
     assert row.reached
     assert 3.0 * 2**-0.25 < row.size < 3.0 * 2**0.26
@@ -130,7 +130,7 @@ def test_a_row_tells_where_the_verdict_turns_and_what_happened_until_then(real):
 
 
 def test_an_effect_that_the_verdict_line_names_does_not_mislead(real):
-    row = Bench(Plain(real, limit=15.0, treatment="not protected"), runs=20).row(drift(real))
+    row = PowerBench(Plain(real, limit=15.0, treatment="not protected"), runs=20).row(drift(real))
     assert row.error > 5.0
     assert row.named
     assert not row.misleads
@@ -138,7 +138,7 @@ def test_an_effect_that_the_verdict_line_names_does_not_mislead(real):
 
 def test_an_allowance_is_held_against_what_it_is_for(real):
     bounded = replace(drift(real), stated=lambda _configuration: 5.0 * MICROMETRE)
-    row = Bench(Plain(real, limit=99.0, treatment="bounded"), runs=20).row(bounded)
+    row = PowerBench(Plain(real, limit=99.0, treatment="bounded"), runs=20).row(bounded)
     assert (row.allowed, row.size) == (True, pytest.approx(5.0))
     assert row.error == pytest.approx(2.5)
     assert row.reached  # a larger one is, at half a standard uncertainty for each um
@@ -150,7 +150,7 @@ def test_an_allowance_is_held_against_what_it_is_for(real):
 @pytest.mark.slow
 def test_the_scale_of_a_tracer_is_noticed_before_it_matters(real):
     (scale,) = (d for d in real.method.disturbances.listed if d.effect == "scale")
-    row = Bench(real, runs=4).row(scale)
+    row = PowerBench(real, runs=4).row(scale)
     assert row.reached
     assert 3.0 < row.size < 40.0
     assert row.error < 0.5
@@ -165,4 +165,4 @@ def test_a_method_that_lists_no_disturbances_has_no_rows(real):
             return self
 
     with pytest.raises(ConfigurationError, match=r"does not say how these act: drift, knock"):
-        power_rows(Bench(Silent(), runs=2))
+        power_rows(PowerBench(Silent(), runs=2))

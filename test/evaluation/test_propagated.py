@@ -7,7 +7,7 @@ import one_table
 import pytest
 from two_groups import plate_problem
 
-from rotcal_ros.evaluation.monte_carlo import Propagated, propagate
+from rotcal_ros.evaluation.monte_carlo import PropagatedResult, propagate
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.tracer import solver as tracer
@@ -29,7 +29,7 @@ def prepared(method):
 @pytest.fixture(scope="module", params=["tracer", "plate", "mirror"])
 def both(request):
     result, trials = prepared(request.param)
-    return Propagated(result, propagate(trials, seed=4, max_trials=4000, block=1000), 4)
+    return PropagatedResult(result, propagate(trials, seed=4, max_trials=4000, block=1000), 4)
 
 
 @pytest.mark.slow
@@ -45,7 +45,7 @@ def test_trials_confirm_the_solver(both):
 
 def test_an_uncertainty_that_is_too_small_is_contradicted_and_named(both):
     halved = {name: values / 2.0 for name, values in both.result.std.items()}
-    told = Propagated(replace(both.result, std=halved), both.spread, both.seed)
+    told = PropagatedResult(replace(both.result, std=halved), both.spread, both.seed)
     assert len(told.warnings) >= len(both.result.angles) - 2
     assert any(text.startswith("ECC at 30 deg (arcsec): ") or "ECC at 45 deg" in text
                for text in told.warnings)  # fmt: skip
@@ -64,7 +64,7 @@ def test_plain_form_holds_everything(both):
 @pytest.mark.slow
 def test_trials_do_not_hide_an_offset_that_none_of_them_tells():
     problem = plate_problem()
-    told = Propagated(
+    told = PropagatedResult(
         ball_plate.solve(problem),
         propagate(ball_plate.plate_trials(problem), seed=1, max_trials=40, block=20),
         1,

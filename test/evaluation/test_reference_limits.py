@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from text_tables import table_in
 
-from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.evaluation.reference import read_reference, subtract_polygon
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
@@ -111,7 +111,7 @@ def test_the_faces_are_taken_off_with_their_correlations():
     root = rng.normal(size=(4, 4))
     polygon = circle(np.arange(4) * TAU / 4, [1.0, 2.0, 4.0, 8.0], root @ root.T)
     reading = circle([TAU / 2, 3 * TAU / 4], [10.0, 20.0], [[5.0, 1.0], [1.0, 6.0]])
-    found = without_polygon(reading, polygon)
+    found = subtract_polygon(reading, polygon)
     np.testing.assert_allclose(found.deviation, [6.0, 12.0])
     faces = (root @ root.T)[2:, 2:]
     np.testing.assert_allclose(found.covariance, np.add([[5.0, 1.0], [1.0, 6.0]], faces))
@@ -127,7 +127,7 @@ def test_a_face_is_there_within_a_microradian_in_any_turn(away, found, turns):
     polygon = circle(np.arange(8) * TAU / 8, np.arange(8.0), np.eye(8))
     reading = circle(np.array([away, 3 * TAU / 8]) + turns * TAU, [5.0, 5.0], np.eye(2))
     if found:
-        np.testing.assert_allclose(without_polygon(reading, polygon).deviation, [5.0, 2.0])
+        np.testing.assert_allclose(subtract_polygon(reading, polygon).deviation, [5.0, 2.0])
         return
     with pytest.raises(DataError, match="the polygon has no face for"):
-        without_polygon(reading, polygon)
+        subtract_polygon(reading, polygon)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.compare import suspicion
+from rotcal_ros.evaluation.compare import suspected_cause
 
 ANGLES = np.arange(24) * 2 * np.pi / 24
 CURVE = 3.0 * np.sin(ANGLES) + np.cos(3 * ANGLES) + 0.5 * np.sin(2 * ANGLES + 1.0)
@@ -26,14 +26,14 @@ OTHER = np.cos(ANGLES)
 )
 def test_a_wrong_unit_is_named_whichever_curve_has_it(factor, text, offset):
     expected = f"both curves have one shape, but for one of them {text}" if text else None
-    assert suspicion(factor * CURVE + offset, CURVE, None) == expected
-    assert suspicion(CURVE, factor * CURVE + offset, None) == expected
+    assert suspected_cause(factor * CURVE + offset, CURVE, None) == expected
+    assert suspected_cause(CURVE, factor * CURVE + offset, None) == expected
 
 
 def test_a_turned_sign_is_named_and_a_wrong_unit_with_it():
     start = "both curves have one shape, but for one of them its sign is turned"
-    assert suspicion(CURVE, -CURVE, None) == f"{start} (commanded - actual?)"
-    assert suspicion(CURVE, -3600.0 * CURVE, None) == (
+    assert suspected_cause(CURVE, -CURVE, None) == f"{start} (commanded - actual?)"
+    assert suspected_cause(CURVE, -3600.0 * CURVE, None) == (
         f"{start} (commanded - actual?); degrees taken for arcseconds"
     )
 
@@ -43,21 +43,21 @@ def test_curves_of_another_shape_raise_no_suspicion():
     unit, across = np.sqrt(2) * np.sin(ANGLES), np.sqrt(2) * np.cos(ANGLES)
     for alike, suspicious in ((0.8, False), (0.95, True)):
         second = -(alike * unit + np.sqrt(1 - alike**2) * across)
-        assert bool(suspicion(unit, second, None)) is suspicious
-        assert bool(suspicion(unit + 9.0, second + 9.0, None)) is suspicious
+        assert bool(suspected_cause(unit, second, None)) is suspicious
+        assert bool(suspected_cause(unit + 9.0, second + 9.0, None)) is suspicious
 
 
 def test_a_curve_without_any_shape_raises_no_suspicion():
-    assert suspicion(CURVE, np.full(24, 2.0), None) is None
+    assert suspected_cause(CURVE, np.full(24, 2.0), None) is None
 
 
 def test_an_angle_counted_clockwise_is_named():
     backward = (-ANGLES) % (2 * np.pi)
     order = np.argsort(backward)
     turned = -CURVE[order]
-    assert "counted clockwise" in suspicion(CURVE, turned, CURVE)
-    assert suspicion(CURVE, CURVE, CURVE) is None
-    assert suspicion(CURVE, OTHER, turned) is None
+    assert "counted clockwise" in suspected_cause(CURVE, turned, CURVE)
+    assert suspected_cause(CURVE, CURVE, CURVE) is None
+    assert suspected_cause(CURVE, OTHER, turned) is None
 
 
 FACTORS = {  # arc seconds in each unit
@@ -77,8 +77,8 @@ def test_a_unit_is_recognised_within_a_fifth(text, share, named):
     """The units by their definition; either the ratio or one over the factor is a fifth off."""
     factor = FACTORS[text]
     expected = f"both curves have one shape, but for one of them {text}" if named else None
-    assert suspicion(factor * share * CURVE, CURVE, None) == expected
-    assert suspicion(share / factor * CURVE, CURVE, None) == expected
+    assert suspected_cause(factor * share * CURVE, CURVE, None) == expected
+    assert suspected_cause(share / factor * CURVE, CURVE, None) == expected
 
 
 def of_correlation(alike, first, across):
@@ -99,7 +99,7 @@ def of_correlation(alike, first, across):
 def test_clockwise_needs_a_shape_that_fits_clearly_better(straight, mirrored, named):
     """A correlation of 0.9, and 0.2 more than straight."""
     unit, across, other = (np.sqrt(2) * np.sin(k * ANGLES) for k in (1, 2, 3))
-    found = suspicion(
+    found = suspected_cause(
         unit, of_correlation(straight, unit, across), of_correlation(mirrored, unit, other)
     )
     words = "the curves fit if one is reversed: is its angle counted clockwise?"
@@ -107,5 +107,5 @@ def test_clockwise_needs_a_shape_that_fits_clearly_better(straight, mirrored, na
 
 
 def test_a_flat_curve_is_like_none():
-    assert suspicion(CURVE, OTHER, np.full(24, 2.0)) is None
-    assert suspicion(np.full(24, 2.0), OTHER, CURVE) is None
+    assert suspected_cause(CURVE, OTHER, np.full(24, 2.0)) is None
+    assert suspected_cause(np.full(24, 2.0), OTHER, CURVE) is None

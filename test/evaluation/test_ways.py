@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.ways import Evaluation, describe, evaluate, largest_differences, ways
+from rotcal_ros.evaluation.ways import (
+    Evaluation,
+    describe_evaluations,
+    evaluate,
+    largest_differences,
+    setting_combinations,
+)
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
@@ -39,7 +45,7 @@ STEPS = (0, 2, 4, 6, 8, 10, 1)
     ],
 )
 def test_every_combination_is_a_way(balls, coarser, expected):
-    assert ways(balls, coarser) == tuple(expected)
+    assert setting_combinations(balls, coarser) == tuple(expected)
 
 
 def result(degrees, verdict="ok", **deviations):
@@ -93,7 +99,7 @@ def test_words_hold_expanded_uncertainties_and_distances_in_their_units():
     given = replace(given, protections=(Protection("drift", "not protected", ""),))
     doubted = replace(given, verdict="suspect")
     other = Evaluation(("solver.coarser=2",), doubted, {"ECC": 5.0 * ARCSEC, "EXC": 1.25e-6})
-    assert describe([Evaluation((), given, {}), other]) == [
+    assert describe_evaluations([Evaluation((), given, {}), other]) == [
         "all data: 70 observations, 7 degrees of freedom, verdict ok. Not tested for: drift",
         "  EXC  U (k = 2) 0.006 µm",
         "  ECC  U (k = 2) 0.001 arcsec",
@@ -131,7 +137,7 @@ def seen(angles, deviations):
 
 def test_every_way_is_compared_with_the_first(plate):
     calibration, observations = plate
-    wanted = ways(["all", "0,1,2,4,8"], [1, 2])
+    wanted = setting_combinations(["all", "0,1,2,4,8"], [1, 2])
     found = evaluate(calibration, observations, wanted)
     assert tuple(evaluation.changes for evaluation in found) == wanted
     first = found[0]

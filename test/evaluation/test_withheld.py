@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.marks import not_covered, withheld
+from rotcal_ros.evaluation.marks import uncovered_effects, why_withheld
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -55,7 +55,7 @@ def test_a_radial_harmonic_of_1_5_um_leaves_no_valid_u(harmonic):
     # U (k = 2) as it would be without the harmonic is 0.8 arcsec, and the error is 8 or more.
     assert error.max() > 8.0 * ARCSEC
     assert harmonic.verdict == "suspect"
-    assert "the stations leave their circle" in withheld(harmonic)
+    assert "the stations leave their circle" in why_withheld(harmonic)
     assert np.all(harmonic.std["ECC"][1:] > 0.0)  # the numbers stay in the result
 
 
@@ -81,8 +81,8 @@ def test_the_terminal_says_so_where_the_number_stood(harmonic, printed):
 
 def test_the_same_table_without_it_has_one(printed):
     sound = solved(0.0)
-    assert withheld(sound) is None
-    assert any("error motion" in effect for effect in not_covered(sound))
+    assert why_withheld(sound) is None
+    assert any("error motion" in effect for effect in uncovered_effects(sound))
     assert np.all(np.abs(sound.deviations["ECC"]) <= 2.0 * COVERAGE_FACTOR * sound.std["ECC"])
     shown = printed(sound)
     assert "± U (k = 2)" in shown

@@ -137,7 +137,7 @@ def with_directions(**changes):
         "angles": np.array([0.0, 1.0 / 3.0]),
         "forward": np.array([0.1, 0.2]),
         "reverse": np.array([0.3, -0.1]),
-        "covariance": np.diag([1.0, 2.0, 3.0, 4.0]) / 7.0,
+        "spread": np.diag([1.0, 2.0, 3.0, 4.0]) / 7.0,
     }
     return Directions(**{**given, **changes})
 
@@ -161,8 +161,8 @@ def test_both_directions_keep_every_bit_and_are_absent_where_they_were_not_measu
     [
         ({"forward": np.zeros(3)}, "direction forward has shape"),
         ({"reverse": np.array([0.0, np.nan])}, "direction reverse is nan"),
-        ({"covariance": np.eye(2)}, r"covariance of both directions has shape \(2, 2\)"),
-        ({"covariance": np.full((4, 4), np.inf)}, "not finite"),
+        ({"spread": np.eye(2)}, r"covariance of both directions has shape \(2, 2\)"),
+        ({"spread": np.full((4, 4), np.inf)}, "not finite"),
     ],
 )
 def test_directions_that_do_not_fit_are_refused(changes, words):
@@ -175,7 +175,7 @@ def test_reversal_is_forward_less_reverse_with_its_own_uncertainty():
     np.testing.assert_allclose(both.reversal, [-0.2, 0.3])
     np.testing.assert_allclose(both.reversal_std, np.sqrt([4.0 / 7.0, 6.0 / 7.0]))
     tied = np.kron(np.ones((2, 2)), np.eye(2))  # what both have in common is in no reversal
-    np.testing.assert_allclose(with_directions(covariance=tied).reversal_std, 0.0, atol=1e-12)
+    np.testing.assert_allclose(with_directions(spread=tied).reversal_std, 0.0, atol=1e-12)
 
 
 def test_what_json_lacks_is_null():

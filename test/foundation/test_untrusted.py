@@ -100,7 +100,7 @@ def test_every_reader_of_what_people_write_refuses_it(tmp_path):
     with pytest.raises(ConfigurationError, match="010 is 8"):
         parse_options(["turns=010"])
     with pytest.raises(ConfigurationError, match="1:00:00 is 3600"):
-        changed_limits(["reading.other_records=1:00:00"])
+        changed_limits(["reading.kept_bytes=1:00:00"])
 
 
 @pytest.mark.parametrize(

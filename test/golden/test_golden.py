@@ -42,6 +42,14 @@ CHECKED = {
 }
 
 
+EXPORTED = {
+    folder.name: ["export", "table_balls/table/result.json", "--axis", "C", "--to", folder.name,
+                  "--accept-unverified"]
+    for folder in sorted((GOLDEN / "exported").iterdir())
+}  # fmt: skip
+EXPORTED["linuxcnc"] += ["--set", "backlash_deg=0"]
+"""Controller -> the command that makes its table; with --replace it made those that are there."""
+
 RECAPTURED = "the observations captured again differ from those captured live"
 
 

@@ -1,7 +1,7 @@
 """Controllers' tables of a golden result are written as they were, and read when in force.
 
-Each folder of ``exported`` is what `rotcal export table_balls/table/result.json --to CONTROLLER
---axis C --replace --accept-unverified` wrote for 1.0.0. They stay as they are.
+Each folder of ``exported`` is what a command of `test_golden.EXPORTED`, with --replace, wrote for
+1.0.0. They stay as they are.
 """
 
 import json
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from test_golden import EXPORTED as COMMANDS
 
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.controllers import controller_names
@@ -44,9 +45,9 @@ def held(folder):
 
 
 @each_controller
-def test_a_table_is_written_as_it_was(controller, tmp_path):
-    words = ["export", str(RESULT), "--to", controller, "--axis", "C", "--replace"]
-    run = CliRunner().invoke(rotcal, [*words, "--accept-unverified", "-o", str(tmp_path)])
+def test_a_table_is_written_as_it_was(controller, tmp_path, monkeypatch):
+    monkeypatch.chdir(GOLDEN)
+    run = CliRunner().invoke(rotcal, [*COMMANDS[controller], "--replace", "-o", str(tmp_path)])
     assert run.exit_code == 0, run.output
     assert held(tmp_path) == held(EXPORTED / controller)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from plate_cell import measure, simulated_cell, small
 
-from rotcal_ros.evaluation.ways import describe, evaluate, ways
+from rotcal_ros.evaluation.ways import describe_evaluations, evaluate, setting_combinations
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import (
     ConfigurationError,
@@ -111,20 +111,22 @@ def test_nothing_and_too_little_are_refused(measured):
 def test_several_evaluations_of_the_same_data(measured):
     calibration, observations = measured
     data = Data(calibration, observations)
-    whole, five = evaluate(data.calibration, data.observations, ways(["all", "0,1,3,5,8"], []))
+    whole, five = evaluate(
+        data.calibration, data.observations, setting_combinations(["all", "0,1,3,5,8"], [])
+    )
     assert (whole.name, five.name) == ("all data", "balls=[0,1,3,5,8]")
     assert (whole.result.n_observations, five.result.n_observations) == (78, 65)
     for name in COMPONENTS:
         between = np.abs(five.result.deviations[name] - whole.result.deviations[name]).max()
         assert five.differences[name] == pytest.approx(between, rel=1e-9)
         assert between < 5 * five.result.std[name].max()
-    lines = describe([whole, five])
+    lines = describe_evaluations([whole, five])
     assert lines[0].startswith("all data: 78 observations")
     assert len(lines) == 2 * 7
     with pytest.raises(PlanError, match=r"ball steps \[2\] were not measured"):
-        evaluate(data.calibration, data.observations, ways(["0,1,2,3,5"], []))
+        evaluate(data.calibration, data.observations, setting_combinations(["0,1,2,3,5"], []))
     with pytest.raises(PlanError, match="5 times coarser"):
-        evaluate(data.calibration, data.observations, ways([], [5]))
+        evaluate(data.calibration, data.observations, setting_combinations([], [5]))
 
 
 def test_a_coarser_evaluation_is_compared_at_its_own_angles():

@@ -9,7 +9,7 @@ from live_cell import wait_until
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.decode import Decoder
-from rotcal_ros.bags.dropouts import GAP, REPORTED, counters
+from rotcal_ros.bags.dropouts import GAP, REPORTED, loss_counters
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 
 pytest.importorskip("rclpy")
@@ -79,4 +79,4 @@ def test_what_a_held_up_recorder_missed_stands_in_its_bag(recorders):
     for place in np.flatnonzero(missing):
         assert any(d.from_ns <= times[place] and times[place + 1] <= d.to_ns for d in told)
     lost = {n: c for n, c in verdict.losses_recorded.items() if n.startswith(names.LOST)}
-    assert lost == {n: c for n, c in counters(verdict.dropouts).items() if n in lost}
+    assert lost == {n: c for n, c in loss_counters(verdict.dropouts).items() if n in lost}

@@ -9,7 +9,7 @@ import pytest
 from live_cell import SUITE, wait_until
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.dropouts import counters
+from rotcal_ros.bags.dropouts import loss_counters
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.recordings.replay import read_recording
 
@@ -105,7 +105,7 @@ def test_a_stream_that_falls_silent_is_counted(cell):
     recording = read_recording(live.bag)
     (verdict,) = recording.verdicts
     assert verdict.losses_recorded["silent /cell/temperature"] == 1
-    assert counters(verdict.dropouts) == verdict.losses_recorded
+    assert loss_counters(verdict.dropouts) == verdict.losses_recorded
     (silence,) = (d for d in verdict.dropouts if d.topic == "/cell/temperature")
     (start_ns, end_ns) = (verdict.start_ns, verdict.end_ns)
     assert silence.to_ns - silence.from_ns > 0.5 * (end_ns - start_ns)  # one message, then none
@@ -154,6 +154,6 @@ def test_a_step_that_a_loss_touches_is_measured_again(cell):
     assert len(again) == 1
     (verdict,) = recording.verdicts
     assert verdict.losses_recorded == {f"incompatible publisher /cell/{names.TRACER_LENGTH}": 1}
-    assert counters(verdict.dropouts) == verdict.losses_recorded
+    assert loss_counters(verdict.dropouts) == verdict.losses_recorded
     assert outcome["n_used"] == 59
     assert recording.same_as_recorded

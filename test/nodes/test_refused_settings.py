@@ -25,7 +25,7 @@ WRONG = (
     ("topics.trcer_length", "/a", "topics: unknown setting 'trcer_length'; did you mean 'tracer_"),
     ("recorder.silence", 20.0, "recorder: unknown setting 'silence'; did you mean 'silence_s"),
     ("recorder.silence_s", 0.01, "recorder.silence_s: 0.01 is out of range"),
-    ("recorder.writer.chunk_byte", 5, "recorder.writer: unknown setting 'chunk_byte'; did you"),
+    ("recorder.writer.split_byte", 5, "recorder.writer: unknown setting 'split_byte'; did you"),
     ("bridge.controler", "csv", "bridge: unknown setting 'controler'; did you mean 'controller'"),
     ("simulation.tme_scale", 2.0, "simulation: unknown setting 'tme_scale'; did you mean 'time"),
     ("plan.box_point", [3, 2, 2], "plan: unknown setting 'box_point'; did you mean 'box_points'"),

@@ -20,6 +20,7 @@ from bag_samples import (
     open_writer,
     serialised,
     write_run,
+    writer_settings,
 )
 from coded import coded
 
@@ -105,7 +106,7 @@ def test_truncated_bag_gives_the_first_observations(
 
 @pytest.mark.slow
 def test_split_session_is_one(simulated_run: Run, tmp_path: Path) -> None:
-    settings = WriterSettings(min_free_bytes=0, split_bytes=200_000, chunk_bytes=20_000)
+    settings = writer_settings(split_bytes=200_000, chunk_bytes=20_000)
     write_run(tmp_path / "split", simulated_run, settings, tick_every=100)
     assert len(list((tmp_path / "split").glob("*.mcap"))) > 3
     (tmp_path / "split" / "metadata.yaml").unlink()

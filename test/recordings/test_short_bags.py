@@ -5,13 +5,12 @@ import sqlite3
 
 import pytest
 import yaml
-from bag_samples import STORE, TYPES, encode, open_writer
+from bag_samples import STORE, TYPES, encode, open_writer, writer_settings
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.session_verdict import judge_session
-from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.recordings.replay import read_recording
 
@@ -21,7 +20,7 @@ ALL = 2000
 
 def written(folder, run, **settings):
     """Return a closed bag with its metadata.yaml."""
-    writer, channels = open_writer(folder, WriterSettings(min_free_bytes=0, **settings))
+    writer, channels = open_writer(folder, writer_settings(**settings))
     with writer:
         pairs = (pair for record in run.records for pair in encode(record))
         for time_ns, (role, data) in zip(range(0, ALL * 1000_000, 1000_000), pairs, strict=False):

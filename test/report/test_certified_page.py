@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from certified_samples import CIRCUMSTANCES, Clauses, report, result, text_of
 
-from rotcal_ros.evaluation.marks import withheld
+from rotcal_ros.evaluation.marks import why_withheld
 from rotcal_ros.evaluation.verification import Positioning, Verification
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.results import Result
@@ -154,15 +154,15 @@ def test_a_band_far_from_the_injected_truth_is_not_valid():
     std[0] = 0.0
     wrong = result(deviations={"ECC": error}, std={"ECC": std})
     truth = {"angles_rad": angles.tolist(), "deviations": {"ECC": [0.0] * 12}}
-    reason = withheld(wrong, truth)
+    reason = why_withheld(wrong, truth)
     assert "ECC at 180 degrees is 8 arcsec off" in reason
     assert "6.7 times its U of 1.2 arcsec" in reason
     assert "U: not stated, because ECC at 180" in text_of(
         render_report(report(wrong, truth=truth))
     )
     honest = {**truth, "deviations": {"ECC": (error + std).tolist()}}
-    assert withheld(wrong, honest) is None
-    assert withheld(wrong) is None
+    assert why_withheld(wrong, honest) is None
+    assert why_withheld(wrong) is None
 
 
 @pytest.mark.usefixtures("without_figures")

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.monte_carlo import Propagated, Propagation
+from rotcal_ros.evaluation.monte_carlo import PropagatedResult, Propagation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.report.terminal.columns import Column, stacked
 from rotcal_ros.report.terminal.tables import print_result, print_uncertainty
@@ -136,7 +136,7 @@ def test_u_of_trials_is_withheld_where_the_verdict_on_the_data_withholds_it(verd
         result.deviations["ECC"], std, -2.0 * std, 2.0 * std, np.diag(std**2), 0.95, 2, 400,
         stable=True,
     )  # fmt: skip
-    print_uncertainty(Propagated(result, spread, 1))
+    print_uncertainty(PropagatedResult(result, spread, 1))
     out, words = capsys.readouterr()
     header, *rows = csv.reader(io.StringIO(out))
     stated = [

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
 import bag_samples
 
-from rotcal_ros.bags.unread_data import unread
+from rotcal_ros.bags.unread_data import collect_unread
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.session_folder import resume_command
@@ -30,7 +30,7 @@ def killed(tmp_path, capsys):
 
 
 def test_a_killed_recorder_is_told_and_does_not_count_against_the_resumed_run(killed, capsys):
-    with unread() as noted:
+    with collect_unread() as noted:
         session = resume_session(None, killed, ())
     assert "truncated at byte" in capsys.readouterr().err
     assert session.continuation.observations

@@ -23,7 +23,7 @@ from rotcal_history.series import DeviationSeries, series_of
 from rotcal_history.settings import Chart, HistorySettings
 from rotcal_history.trend import DRAWS, YEAR_NS, Trend, fit
 from rotcal_ros.adjust.distributions import chi2_sf
-from rotcal_ros.evaluation.marks import decide
+from rotcal_ros.evaluation.marks import decide_conformity
 from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.dates import day_of
@@ -317,7 +317,11 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
     name, tolerance, curve = curves.component, curves.tolerance, curves.newest
     times = tuple(c.measured_ns for c in curves.campaigns)
     largest = tuple(float(np.max(np.abs(c.curves[name].deviation))) for c in curves.campaigns)
-    decision = decide(curve.deviation, std_of(curve.covariance), tolerance) if tolerance else ""
+    decision = (
+        decide_conformity(curve.deviation, std_of(curve.covariance), tolerance)
+        if tolerance
+        else ""
+    )
     plain = DeviationOutlook(name, tolerance, times, largest, decision, curves.notes)
     if len(times) < 2:
         return plain

@@ -18,8 +18,8 @@ from rotcal_ipp_dme.driver import Driver
 from rotcal_ipp_dme.protocol import DmeError
 from rotcal_ipp_dme.settings import DmeSettings
 from rotcal_ros.bags import names
-from rotcal_ros.capture.messages import Orders
-from rotcal_ros.capture.publishers import RUN, run_name
+from rotcal_ros.capture.messages import OrderPairing
+from rotcal_ros.capture.publishers import RUN, unique_run_name
 from rotcal_ros.foundation.node_state import LOADING, NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import announced_plan, conversions
@@ -54,7 +54,7 @@ class DmeAdapter(CellNode):
         self._early: tuple[str | None, Command] | None = None
         self._run: str | None = None
         self._served: str | None = None
-        self._looks, self._loading, self._orders = 0, False, Orders()
+        self._looks, self._loading, self._orders = 0, False, OrderPairing()
         self._table = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
         self._points = self.create_publisher(ProbePoint, names.PROBE_POINT, EVENT)
         self._limit_s = 20.0 * settings.reply_timeout_s + settings.motion_timeout_s
@@ -93,7 +93,7 @@ class DmeAdapter(CellNode):
         """Take the plan, which says which ball is touched how often."""
         self._follow_planner()
         early, self._early = self._early, None
-        self._plan, self._run, self._loading = None, run_name(message), True
+        self._plan, self._run, self._loading = None, unique_run_name(message), True
         self._orders.clear()
         self.health.beat()
         try:

@@ -15,8 +15,8 @@ from std_msgs.msg import Header
 
 from rotcal_ipp_dme import node as dme_adapter
 from rotcal_ipp_dme.node import LOOKS_FIRST, DmeAdapter
-from rotcal_ros.capture.messages import Orders
-from rotcal_ros.capture.publishers import RUN, run_name
+from rotcal_ros.capture.messages import OrderPairing
+from rotcal_ros.capture.publishers import RUN, unique_run_name
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.nodes.runtime.liveness import SecondNodeError
 
@@ -65,7 +65,7 @@ class Adapter(DmeAdapter):
             values=lambda _name: self.planner,
             beat=lambda: None,
         )
-        self._driver, self._orders = Driver(), Orders()
+        self._driver, self._orders = Driver(), OrderPairing()
         self._stop = SimpleNamespace(
             why="", heed=lambda: "", refuses=lambda _step: bool(self._stop.why)
         )
@@ -80,7 +80,7 @@ class Adapter(DmeAdapter):
 
     def take_orders(self, obey):
         self.listening["orders"] += 1
-        return Orders()
+        return OrderPairing()
 
     def offer(self, _kind, name, _serve):
         self.listening[name] += 1
@@ -94,7 +94,7 @@ class Adapter(DmeAdapter):
 
     def work_for(self, announced):
         """Hear the planner's beat while it works for a plan; None: for none."""
-        self.planner = {} if announced is None else {RUN: run_name(announced)}
+        self.planner = {} if announced is None else {RUN: unique_run_name(announced)}
         self._watch()
 
 
@@ -222,8 +222,8 @@ def test_an_order_of_a_plan_that_was_refused_is_not_done_by_the_next_one(made):
     with pytest.raises(ValueError, match="wrong"):
         made._take_plan(CalibrationPlan(plan_id="wrong"))
     made._take_plan(FIRST)
-    made.planner = {RUN: run_name(SECOND)}  # at once: the end of the first was never seen
-    made._early = (run_name(FIRST), ORDER)
+    made.planner = {RUN: unique_run_name(SECOND)}  # at once: the end of the first was never seen
+    made._early = (unique_run_name(FIRST), ORDER)
     made._take_plan(SECOND)
     assert made.orders == []
 

@@ -19,7 +19,7 @@ from typing import Any, Final
 from rotcal_ros.cli.console import in_lines
 from rotcal_ros.compensation.agreement import UNVERIFIED
 from rotcal_ros.compensation.request import ExportRequest, write_export
-from rotcal_ros.evaluation.marks import marks, withheld
+from rotcal_ros.evaluation.marks import marks, why_withheld
 from rotcal_ros.evaluation.two_measurements import verification_of
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
@@ -301,7 +301,7 @@ def solved(asked: Asked) -> Reply:
 
 def shown(result: Result) -> Deviations:
     """Return a result as the operator's page shows it; without U if that is withheld."""
-    why = withheld(result)
+    why = why_withheld(result)
     curves = []
     for name in result.components:
         size, label = unit_of(name)

@@ -83,14 +83,14 @@ class Conventions:
             return value * _PASCAL[self.settings.pressure_unit]
         return value * _SHARE[self.settings.humidity_unit]
 
-    def form(self, role: str, type_name: str) -> Form | None:
+    def form(self, role: str, type_name: str) -> NumericFields | None:
         """Return the form of a type other than the role's own: as named, else as it is known."""
         owner, path = _OWNERS.get(role), self._path(role)
         if owner is None or not path:
             return FORMS.get(role, {}).get(type_name)
         stamped = getattr(self.settings, f"{owner}_clock") == "stamp"
-        return Form(tuple(f"{path}.{axis}" for axis in "xyz") if owner == "probe" else (path,),
-                    stamped)  # fmt: skip
+        paths = tuple(f"{path}.{axis}" for axis in "xyz") if owner == "probe" else (path,)
+        return NumericFields(paths, stamped)
 
     def _path(self, role: str) -> str:
         return str(getattr(self.settings, _FIELDS[role])) if role in _FIELDS else ""
@@ -195,7 +195,7 @@ STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
+class NumericFields:
     """The fields of a message type: its ``numbers``, and the ``limits`` of their valid range."""
 
     numbers: tuple[str, ...]
@@ -217,18 +217,18 @@ class Form:
 
 
 _SCALARS: Final = {
-    "std_msgs/msg/Float64": Form(("data",), stamped=False),
-    "std_msgs/msg/Float32": Form(("data",), stamped=False),
-    "sensor_msgs/msg/Range": Form(("range",), limits=("min_range", "max_range")),
+    "std_msgs/msg/Float64": NumericFields(("data",), stamped=False),
+    "std_msgs/msg/Float32": NumericFields(("data",), stamped=False),
+    "sensor_msgs/msg/Range": NumericFields(("range",), limits=("min_range", "max_range")),
 }
 _POINTS: Final = {
-    "geometry_msgs/msg/PointStamped": Form(("point.x", "point.y", "point.z")),
-    "geometry_msgs/msg/PoseStamped": Form(
+    "geometry_msgs/msg/PointStamped": NumericFields(("point.x", "point.y", "point.z")),
+    "geometry_msgs/msg/PoseStamped": NumericFields(
         ("pose.position.x", "pose.position.y", "pose.position.z")
     ),
-    "geometry_msgs/msg/Vector3Stamped": Form(("vector.x", "vector.y", "vector.z")),
+    "geometry_msgs/msg/Vector3Stamped": NumericFields(("vector.x", "vector.y", "vector.z")),
 }
-FORMS: Final[Mapping[str, Mapping[str, Form]]] = {
+FORMS: Final[Mapping[str, Mapping[str, NumericFields]]] = {
     names.TRACER_LENGTH: _SCALARS,
     names.JOINT_STATES: _SCALARS,
     names.PROBE_POINT: _POINTS,

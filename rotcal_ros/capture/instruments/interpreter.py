@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.instruments.conventions import Conventions, Form
+from rotcal_ros.capture.instruments.conventions import Conventions, NumericFields
 from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import (
@@ -96,7 +96,7 @@ class Interpreter:
         """Return feedback of a joint (n,) with velocities: :meth:`BareAngles.completed`."""
         return self._angles.completed(feedback)
 
-    def _fast(self, role: str, form: Form, sent: Sequence[Sent]) -> list[Any]:
+    def _fast(self, role: str, form: NumericFields, sent: Sequence[Sent]) -> list[Any]:
         values = np.array([form.row(message) for message, _ in sent], np.float64)
         stamps = np.array([form.stamp_ns(*pair) for pair in sent], np.int64)
         sent_ns = np.array([time_ns for _, time_ns in sent], np.int64)

@@ -121,7 +121,7 @@ _FINEST_M: Final = 1e-9
 """No instrument scatters by less in metres: its lengths are not a thousand times too small."""
 
 
-def scatter_of(values: Sequence[float]) -> float | None:
+def reading_scatter(values: Sequence[float]) -> float | None:
     """Return the standard deviation of single readings, None of too few.
 
     It is taken from second differences: a slow motion does not count, nor does a jump.
@@ -136,7 +136,7 @@ _MEDIAN: Final = 0.6744897501960817
 """Median of the absolute value of a standard normal variable."""
 
 
-def unsteady(scatter: float, allowed: float, stated: str, setting: str) -> str | None:
+def scatters_at_rest(scatter: float, allowed: float, stated: str, setting: str) -> str | None:
     """Return a text if readings at rest scatter by more (m) than a window ``allowed``."""
     if not scatter > allowed:
         return None

@@ -15,7 +15,7 @@ from math import dist, isfinite
 from typing import Any, Final
 
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.capture.table import off_in_words
+from rotcal_ros.capture.table import describe_offset
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample, TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.planning.plan import Plan, Point, Step
@@ -165,7 +165,7 @@ class StepFinder:
         table = self._feedback
         if table is None:
             return "no table feedback since the order"
-        return off_in_words(
+        return describe_offset(
             table.angle, table.velocity, step.table_angle, self._settings,
             had_velocity=self._had_velocity,
         )  # fmt: skip

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.sparse import block_diag, csr_array
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
@@ -117,7 +118,7 @@ def _merged(result: Result, own: Directions) -> DirectionalCurve:
     for values, part in ((own.forward, slice(k)), (own.reverse, slice(k, None))):
         side = MeasuredCurve(own.angles, values, own.covariance[part, part], period)
         angles, merge = average_coincident_angles(side, COMPONENT)
-    twice = np.kron(np.eye(2), merge)
+    twice = csr_array(block_diag([merge, merge], format="csr"))
     missing = len(result.angles) - k
     note = (
         f"{missing} of {len(result.angles)} angles were reached only from one side and are left "
@@ -127,7 +128,7 @@ def _merged(result: Result, own: Directions) -> DirectionalCurve:
         angles=angles,
         forward=merge @ own.forward,
         reverse=merge @ own.reverse,
-        covariance=twice @ own.covariance @ twice.T,
+        covariance=np.asarray(twice @ (twice @ own.covariance).T),
         period=period,
         both=True,
         notes=(note,) if missing else (),

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import unit_of
@@ -68,7 +69,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     return MeasuredCurve(
         angles=angles,
         deviation=merge @ curve.deviation,
-        covariance=merge @ curve.covariance @ merge.T,
+        covariance=np.asarray(merge @ (merge @ curve.covariance).T),
         period=curve.period,
         verdict_line=result.verdict_line,
         simulated=result.simulated,
@@ -82,7 +83,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     )
 
 
-def average_coincident_angles(curve: MeasuredCurve, component: str) -> tuple[Floats, Floats]:
+def average_coincident_angles(curve: MeasuredCurve, component: str) -> tuple[Floats, csr_array]:
     """Return ascending angles (n',) within a turn, and (n', n) that averages those that coincide.
 
     An arc is sorted and otherwise stays as it is. Raises DataError if two that coincide
@@ -93,11 +94,11 @@ def average_coincident_angles(curve: MeasuredCurve, component: str) -> tuple[Flo
     order = np.argsort(position, kind="stable")
     new = np.append(True, np.diff(position[order]) > SAME_ANGLE)
     group = np.cumsum(new) - 1
-    merge = np.zeros((group[-1] + 1, len(angles)))
-    merge[group, order] = 1.0
-    for row in merge[merge.sum(axis=1) > 1]:
-        _check_closure(component, curve, np.flatnonzero(row))
-    return position[order][new], merge / merge.sum(axis=1, keepdims=True)
+    begin, count = np.flatnonzero(new), np.bincount(group)
+    for first in np.flatnonzero(count > 1).tolist():
+        _check_closure(component, curve, order[begin[first] : begin[first] + count[first]])
+    share = 1.0 / count[group], order, np.append(begin, len(order))
+    return position[order][new], csr_array(share, shape=(len(begin), len(order)))
 
 
 def covers_circle(angles: Floats) -> bool:

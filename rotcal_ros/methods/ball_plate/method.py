@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import points
+from rotcal_ros.capture.decisions import decide_by_points
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
@@ -245,7 +245,10 @@ METHOD: Final = Method(
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
-        {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
+        {
+            PointKind.SURFACE: decide_by_points(touched_centre),
+            PointKind.CENTRE: decide_by_points(reported_centre),
+        }
     ),
     solve=solve,
     model_of_curves=model_of_curves,

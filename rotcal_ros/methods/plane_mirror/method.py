@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.capture.decisions import decide_by_points, mean_point
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.compact import mapped, written
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
@@ -180,7 +181,7 @@ def _other_way(solution: MirrorSolution, way: str, arrivals: Arrivals | None) ->
     if arrivals is not None:
         tied = mean_curve(arrivals)
         angles = arrivals.targets[arrivals.measured]
-        ecc, covariance = tied @ ecc, tied @ covariance @ tied.T
+        ecc, covariance = tied @ ecc, written(mapped(covariance, tied))
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return {"way": way, "angles_rad": angles, "ecc_rad": ecc, "ecc_std_rad": std}
 
@@ -358,7 +359,8 @@ METHOD: Final = Method(
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
-        {kind: points(mean_point) for kind in KINDS.values()}, lambda _plan: (TrackerCheck(),)
+        {kind: decide_by_points(mean_point) for kind in KINDS.values()},
+        lambda _plan: (TrackerCheck(),),
     ),
     solve=solve,
     model_of_curves=lambda *measured: _model_of_curves(measured[0], _problem(*measured)[0]),

@@ -14,7 +14,7 @@ from rotcal_ros.adjust.effects import Undetected
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import decide_length, mean_point, points
+from rotcal_ros.capture.decisions import decide_by_points, decide_length, mean_point
 from rotcal_ros.capture.passage import FittedCurve, decide_passage
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation import plugins
@@ -680,7 +680,7 @@ def read_rows(configuration: Configuration, table: Table, targets: Table | None)
     return READERS[measure, ("tilt",) * tilted].read(configuration, table, targets)
 
 
-AT_REST: Final = points(mean_point)
+AT_REST: Final = decide_by_points(mean_point)
 BY_MODEL: Final = ByModel(
     NAME,
     model,
@@ -709,8 +709,8 @@ METHOD: Final = BY_MODEL.method(
     check_plan=check_plan,
     capture=CaptureRules(
         {
-            PointKind.SURFACE: points(touched_centre),
-            PointKind.CENTRE: points(reported_centre),
+            PointKind.SURFACE: decide_by_points(touched_centre),
+            PointKind.CENTRE: decide_by_points(reported_centre),
             # at an angle where the table rests, or which it passes
             PointKind.READING: lambda attempt, *more: (
                 AT_REST if attempt.step.turn is None else decide_passage

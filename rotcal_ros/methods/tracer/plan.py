@@ -92,8 +92,8 @@ def check_plan(solver: TracerSolverSettings, planned: Plan, *, turning: bool = F
         raise PlanError(missing)
 
 
-MOST_PASSED: Final = 2400
-"""Angles, each at every speed: a result of so many has about 220 MB, and 268 MB are read."""
+MOST_PASSED: Final = 14_400
+"""Angles, each at every speed: twice those of 3,600 angles in both directions, 22 MB of result."""
 
 
 def tracer_plan(settings: TracerPlanSettings) -> Plan:
@@ -147,8 +147,7 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
     if (places := len(angles) * len(speeds)) > MOST_PASSED:
         raise PlanError(
             f"turning_deg_s: {len(angles)} angles at {len(speeds)} speeds are {places} places, "
-            f"expected {MOST_PASSED} at most: the covariance of more makes a result that is too "
-            "large to be read; measure fewer angles"
+            f"expected {MOST_PASSED} at most; measure fewer angles"
         )
     if settings.run_up_deg <= settings.passing_deg:
         raise PlanError(

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.capture.passage import Passage, reduced_length, why_no_reading_counts
+from rotcal_ros.capture.passage import Passage, reduce_passing_lengths, why_no_reading_counts
 from rotcal_ros.capture.window import ReadingFault, ReducedWindow
 from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.errors import DataError
@@ -204,7 +204,7 @@ def _observed(
     else:
         dark = np.where(np.isnan(length), ReadingFault.BEAM_BROKEN, ReadingFault.NONE)
         values = np.column_stack([np.zeros(len(length)), length, dark])
-        reduced = reduced_length(away, values, 0, settings)
+        reduced = reduce_passing_lengths(away, values, 0, settings)
     broken = np.isnan(readings.length[turn.rows.start : rows.start])
     return replace(
         step.observed(reduced.mean),

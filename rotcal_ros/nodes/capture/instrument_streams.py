@@ -16,7 +16,7 @@ from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.instruments.conventions import OWN, Conventions, single_shots
 from rotcal_ros.capture.instruments.interpreter import FAST, Interpreter
-from rotcal_ros.capture.instruments.plausibility import Rates, scatter_of
+from rotcal_ros.capture.instruments.plausibility import Rates, reading_scatter
 from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
@@ -121,7 +121,7 @@ class InstrumentStreams:
         values |= {f"{NOW}{role}": reading(record) for role, record in self._latest.items()}
         values |= {f"{FRAME}{role}": frame for role, frame in self._frames.items()}
         values |= {f"{RATE}{role}": f"{hertz:.4g}" for role, hertz in self._rates.hertz().items()}
-        if (scatter := scatter_of(self._lengths)) is not None:
+        if (scatter := reading_scatter(self._lengths)) is not None:
             values[f"{SCATTER}{names.TRACER_LENGTH}"] = f"{scatter:.4g}"
         values |= self._joints.values()
         steady = set(FAST) - set(single_shots(self.topics.settings))

@@ -12,8 +12,8 @@ from std_srvs.srv import Trigger
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
 from rotcal_ros.capture.instruments.steps import Order, StepFinder
-from rotcal_ros.capture.publishers import RUN, run_name
-from rotcal_ros.capture.rejections import Rejections, kind_of
+from rotcal_ros.capture.publishers import RUN, unique_run_name
+from rotcal_ros.capture.rejections import Rejections, reason_kind
 from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.observations import Command, Observation
@@ -66,9 +66,9 @@ class CaptureWarnings:
 
     def _tell(self, key: str, text: str | None) -> None:
         """Show a text while it holds; each kind has one line."""
-        if text and kind_of(text) != self._kinds.get(key):
+        if text and reason_kind(text) != self._kinds.get(key):
             self._logger.warning(text)
-            self._kinds[key] = kind_of(text)
+            self._kinds[key] = reason_kind(text)
         beat_values.show(self._health, key, text)
 
 
@@ -149,7 +149,7 @@ class CaptureNode(CellNode):
         except Exception as error:
             self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
-        self._run, self._needed = run_name(message), calibration.topics
+        self._run, self._needed = unique_run_name(message), calibration.topics
         self._instruments.not_silent()
         self._verdicts.clear()
         self._state = NodeState.of(State.WORKING, Why.CAPTURING, calibration.method.name)

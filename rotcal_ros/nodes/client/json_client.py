@@ -20,7 +20,7 @@ from typing import Final
 
 from rotcal_msgs.action import Calibrate
 
-from rotcal_ros.capture.rejections import kind_of
+from rotcal_ros.capture.rejections import reason_kind
 from rotcal_ros.foundation.machine_load import WaitBudget, describe_load
 from rotcal_ros.foundation.node_names import PAGE, VIEWERS
 from rotcal_ros.nodes.client.calibrator import (
@@ -122,13 +122,13 @@ class Client:
         """Report each kind of warning once, and a jump that all nodes report only once."""
         health = self._calibrator.health
         jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
-        concerns = ((kind_of(text), text) for text in warnings_told(health))
+        concerns = ((reason_kind(text), text) for text in warnings_told(health))
         slow = [
             f"planner: no sign of it for {s:.1f} s: slow, not lost; {describe_load()}"
             for name, s in health.slow.items()
             if name == "planner"
         ]
-        for kind, text in (*jumps, *concerns, *((kind_of(t), t) for t in slow)):
+        for kind, text in (*jumps, *concerns, *((reason_kind(t), t) for t in slow)):
             if kind not in self._warned:
                 say("warning", text=text)
             self._warned.add(kind)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from rotcal_msgs.msg import DeviationArray, Pause
 
-from rotcal_ros.evaluation.marks import Mark, tolerance, withheld_by
+from rotcal_ros.evaluation.marks import Mark, tolerance_mark, why_verdict_withholds
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.language import join_texts, noted, phrase
@@ -93,7 +93,7 @@ def above(place: Point) -> tuple[float, float]:
 
 def deviations(message: DeviationArray, identity: Identity) -> Deviations:
     """Return the curves of a solution, in units for people; without U if it is withheld."""
-    why = withheld_by(message.verdict, message.warnings) if message.final else None
+    why = why_verdict_withholds(message.verdict, message.warnings) if message.final else None
     curves = []
     for name in COMPONENTS:
         values = getattr(message, name.lower())
@@ -122,7 +122,7 @@ def _marks(message: DeviationArray, identity: Identity, why: str | None) -> tupl
     )
     words, remark = split_verdict_line(message.verdict_line or message.verdict)
     about = Mark("measurement", message.verdict, phrase(words), remark)
-    against = tolerance(values, std, identity, why)
+    against = tolerance_mark(values, std, identity, why)
     return tuple(PageMark.of(m) for m in (about, against) if m is not None)
 
 

@@ -19,7 +19,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import TOPIC, plain_name
 from rotcal_ros.capture import messages
 from rotcal_ros.capture.publishers import RUN, Offers, PublisherList, publisher_of
-from rotcal_ros.evaluation.marks import withheld_by
+from rotcal_ros.evaluation.marks import why_verdict_withholds
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.middleware import discovery_in_words
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
@@ -315,7 +315,7 @@ class CellLinks:
 
     def _solved(self, message: msg.DeviationArray) -> None:
         if message.plan_id == self._plan_id and message.ecc_std:
-            doubtful = message.final and withheld_by(message.verdict, message.warnings)
+            doubtful = message.final and why_verdict_withholds(message.verdict, message.warnings)
             self.current_std = math.nan if doubtful else max(message.ecc_std)
 
 

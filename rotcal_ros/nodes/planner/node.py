@@ -23,7 +23,7 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from rotcal_ros.capture.instruments.conventions import single_shots
-from rotcal_ros.capture.publishers import RUN, PublisherList, run_name
+from rotcal_ros.capture.publishers import RUN, PublisherList, unique_run_name
 from rotcal_ros.capture.rejections import MostFrequentReason
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
@@ -222,7 +222,7 @@ class GoalRun:
             run=self._continuation.run,
         )
         await self._fix_publishers()
-        run = self._run = run_name(message)
+        run = self._run = unique_run_name(message)
         links.health.beat()  # names the run: without it the others ignore the plan
         links.announce(message)
         await self.watch.have(

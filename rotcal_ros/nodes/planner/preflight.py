@@ -18,8 +18,8 @@ from rotcal_ros.capture.instruments.plausibility import (
     implausible_angle,
     implausible_length,
     implausible_position,
+    scatters_at_rest,
     thousandth_of_plan,
-    unsteady,
 )
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.observations import PointKind
@@ -113,7 +113,7 @@ def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator
         scatter = number_in(values.get(SCATTER + role, ""))
         stated = (topics.length_unit, "topics.length_unit")
         allowed = calibration.configuration.capture.max_std_m
-        text = None if scatter is None else unsteady(scatter, allowed, *stated)
+        text = None if scatter is None else scatters_at_rest(scatter, allowed, *stated)
         if not text and (abs(length) > calibration.beams_m[0] or can_be_a_thousandth(scatter)):
             text = thousandth_of_plan(length, calibration.beams_m, *stated)
         if text:

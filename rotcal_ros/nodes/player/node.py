@@ -34,9 +34,9 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
-from rotcal_ros.bags.unread_data import unread
+from rotcal_ros.bags.unread_data import collect_unread
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.publishers import RUN, run_name
+from rotcal_ros.capture.publishers import RUN, unique_run_name
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
@@ -193,7 +193,7 @@ class Player:
     def _publish(self, channel: ChannelDefinition, data: bytes) -> None:
         role = self._bag.called.role(channel.topic)
         plan = deserialize_message(data, CalibrationPlan) if role == names.PLAN else None
-        if plan is not None and run_name(plan) in self._bag.strangers:
+        if plan is not None and unique_run_name(plan) in self._bag.strangers:
             return
         if role in ORDERS:  # a machine may have appeared since the last look
             self._guard.look(channel.topic)
@@ -218,7 +218,7 @@ class Player:
 
     def _have_taken(self, plan: CalibrationPlan) -> None:
         """Let the nodes take a plan before the orders come, as a planner does."""
-        nodes, run = sorted(self._outcome.live()), run_name(plan)
+        nodes, run = sorted(self._outcome.live()), unique_run_name(plan)
 
         def not_yet() -> list[str]:
             here = self._outcome.live()
@@ -285,7 +285,7 @@ def _work() -> None:
             raise Ended
 
     try:
-        with unread() as missing:
+        with collect_unread() as missing:
             bag = ReplayedBag.read(given.bag, everything=given.everything, progress=reading)
         say("unread", texts=list(missing))
         peer = Peer("player", bag.namespace, sys.argv)

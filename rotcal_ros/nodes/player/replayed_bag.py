@@ -20,11 +20,11 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.storage_scan import Scan
-from rotcal_ros.bags.topic_roles import CalledOtherwise
+from rotcal_ros.bags.topic_roles import TopicRoleFinder
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.announced_runs import strangers
+from rotcal_ros.capture.announced_runs import foreign_plans
 from rotcal_ros.capture.instruments.conventions import Conventions
-from rotcal_ros.capture.publishers import run_name
+from rotcal_ros.capture.publishers import unique_run_name
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import NANOSECOND
@@ -58,7 +58,7 @@ class ReplayedBag:
     counts: dict[str, int] = field(default_factory=dict)
     outputs: set[str] = field(default_factory=set)
     left_out: dict[str, str] = field(default_factory=dict)
-    called: CalledOtherwise = field(default_factory=lambda: CalledOtherwise("/cell"))
+    called: TopicRoleFinder = field(default_factory=lambda: TopicRoleFinder("/cell"))
     namespace: str = "/cell"
     plan_id: str = ""
     configuration: str = ""
@@ -138,12 +138,12 @@ class ReplayedBag:
         of_nodes = [t for t in self.channels if t.rpartition("/")[2] == names.HEARTBEAT]
         for topic in plans if plan is None else of_nodes:
             self.namespace = topic.rpartition("/")[0] or "/"
-        renamed, self.called = self.called.topics, CalledOtherwise(self.namespace)
+        renamed, self.called = self.called.topics, TopicRoleFinder(self.namespace)
         self.called.topics = renamed
         for topic in plans:
-            announced = [(run_name(plan), plan) for plan in contents.messages(topic)]
+            announced = [(unique_run_name(plan), plan) for plan in contents.messages(topic)]
             texts = [(run, plan.configuration) for run, plan in announced]
-            self.strangers = strangers(self.files, texts)
+            self.strangers = foreign_plans(self.files, texts)
             for run, plan in announced:
                 if run not in self.strangers:
                     self.plan_id, self.configuration = plan.plan_id, plan.configuration

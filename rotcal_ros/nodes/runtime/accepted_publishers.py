@@ -16,7 +16,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rotcal_ros.bags import names
 from rotcal_ros.capture.publishers import (
     Intruder,
-    Origin,
+    MessageOrigin,
     PublisherFilter,
     PublisherList,
     publisher_of,
@@ -150,11 +150,11 @@ class AcceptedPublishers:
             show(self._node.health, INTRUDER, text)
 
 
-def origin_of(info: Any) -> Origin:
+def origin_of(info: Any) -> MessageOrigin:
     """Return the publisher of a message by its message info, which not every ROS 2 fills in."""
     publisher, number = info.get("publisher_gid"), info.get("publication_sequence_number")
     identity = publisher_of(publisher["data"]) if publisher else ""
-    return Origin(identity, None if number is None else int(number))
+    return MessageOrigin(identity, None if number is None else int(number))
 
 
 def digest(accepted: PublisherList) -> str:

@@ -15,7 +15,7 @@ from typing import Final
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.publishers import RUN, PendingPlans, PlanOwner, run_name
+from rotcal_ros.capture.publishers import RUN, PendingPlans, PlanOwner, unique_run_name
 from rotcal_ros.foundation.errors import DataError, PlanError, RotcalError
 from rotcal_ros.foundation.untrusted import read_errors_as, read_text
 from rotcal_ros.methods import Calibration, prepare
@@ -82,7 +82,7 @@ class PlanSubscription:
         node.every(BEAT_PERIOD_S, self._look)
 
     def _offer(self, message: CalibrationPlan) -> None:
-        self._heard.offer(run_name(message), message, time.monotonic())
+        self._heard.offer(unique_run_name(message), message, time.monotonic())
         self._look()
 
     def _look(self) -> None:
@@ -113,7 +113,7 @@ class PlanSubscription:
     def _refused(self, message: CalibrationPlan, error: Exception) -> None:
         """Tell the planner at once, which would wait for this node in vain."""
         health, why = self._node.health, str(error) or type(error).__name__
-        show(health, REFUSED_RUN, f"{run_name(message)} {why}", alarm=True)
+        show(health, REFUSED_RUN, f"{unique_run_name(message)} {why}", alarm=True)
         health.beat()
 
     def _ignored(self, message: CalibrationPlan, why: str) -> None:

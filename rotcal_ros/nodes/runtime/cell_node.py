@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.messages import Orders
+from rotcal_ros.capture.messages import OrderPairing
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.machine_load import WaitBudget
 from rotcal_ros.foundation.node_state import NodeState
@@ -88,7 +88,7 @@ class CellNode(ManagedNode, ABC):
         super().__init__(name, **options)
         self.given = given_parameters(self)
         self._latched: dict[Callable[[Any], None], Any] = {}
-        self._left_alone: set[str] = set()
+        self._ignored_topics: set[str] = set()
         self._answering = 0
         self._answers = MutuallyExclusiveCallbackGroup()
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
@@ -124,8 +124,8 @@ class CellNode(ManagedNode, ABC):
                     handle(message)
                 elif latched:
                     self._latched[handle] = message
-                elif topic not in self._left_alone:
-                    self._left_alone.add(topic)
+                elif topic not in self._ignored_topics:
+                    self._ignored_topics.add(topic)
                     self.get_logger().warning(f"{topic} is ignored: {self.not_active_error()}")
 
         DrainedSubscription(self, kind, topic, qos, take)
@@ -170,9 +170,9 @@ class CellNode(ManagedNode, ABC):
 
         self.executor.create_task(do)
 
-    def take_orders(self, obey: Callable[[Command], None]) -> Orders:
+    def take_orders(self, obey: Callable[[Command], None]) -> OrderPairing:
         """Call ``obey`` with every complete order; return the waiting halves (table, probe)."""
-        orders = Orders()
+        orders = OrderPairing()
 
         def listen(kind: type, topic: str, take: Callable[[Any], Command | None]) -> None:
             def handle(message: Any) -> None:
@@ -240,6 +240,6 @@ class CellNode(ManagedNode, ABC):
                 handle(message)
         if self.active or not self.configured:
             self._latched.clear()
-        self._left_alone.clear()
+        self._ignored_topics.clear()
         self.health.beat()
         return super()._entered(success)

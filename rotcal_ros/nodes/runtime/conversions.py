@@ -296,7 +296,7 @@ def _arguments(reason: msg.NodeReason) -> Iterator[str]:
     for text, code in zip(
         reason.arguments, chain(reason.argument_codes, repeat(None)), strict=False
     ):
-        yield messages.words(text, code) if code and code.code else text
+        yield messages.coded_phrase(text, code) if code and code.code else text
 
 
 def text_code(text: str) -> msg.TextCode:

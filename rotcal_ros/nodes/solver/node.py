@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.publishers import RUN, run_name
+from rotcal_ros.capture.publishers import RUN, unique_run_name
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.in_force import states_of_axis
@@ -110,7 +110,7 @@ class SolverNode(CellNode):
     def _begin_run(self, message: msg.CalibrationPlan, known: Known) -> None:
         """Collect from now on; ``known`` is what was observed before this node or run began."""
         self._know(known)
-        self._run = run_name(message)
+        self._run = unique_run_name(message)
         self._state = NodeState.of(State.WORKING, Why.COLLECTING, message.method)
         self.health.beat()
 
@@ -286,7 +286,7 @@ class EarlierObservations:
         if "planner" not in health.present():
             return True
         goals_run = health.values("planner").get(RUN, "")
-        return goals_run != run_name(message) if goals_run else waited_s > NO_GOAL_S
+        return goals_run != unique_run_name(message) if goals_run else waited_s > NO_GOAL_S
 
     def _recorded(self, message: msg.CalibrationPlan) -> tuple[Observation, ...]:
         """Return the answer of the recorder, if it is about this plan."""

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.rejections import kind_of
+from rotcal_ros.capture.rejections import reason_kind
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach
@@ -150,9 +150,9 @@ class TableAdapter(CellNode):
         self._forget()
         self._send()
         if text := self._wrong():
-            if kind_of(text) != self._kind:
+            if reason_kind(text) != self._kind:
                 self.get_logger().error(text)
-            self._kind = kind_of(text)
+            self._kind = reason_kind(text)
         elif self._watch.arrived():
             self._kind = None
         if text or self._held or self._watch.arrived():

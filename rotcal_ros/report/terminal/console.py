@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.bags.unread_data import note_told
+from rotcal_ros.bags.unread_data import note_printed
 from rotcal_ros.foundation.escapes import printable
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def say(text: str) -> None:
     """Print a line for people on standard error, above a progress bar if there is one."""
-    note_told(text)
+    note_printed(text)
     # Not click.echo: it writes past what rich puts in place of standard error meanwhile.
     sys.stderr.write(f"{printable(text)}\n")
 
@@ -35,7 +35,7 @@ def understood(reading: Reading) -> None:
 def tell(*lines: str, colour: str = "", err: bool = False) -> None:
     """Print lines on standard output (``err``: error), safe with any names in them."""
     for line in lines:
-        note_told(line)
+        note_printed(line)
         click.echo(click.style(printable(line), colour) if colour else printable(line), err=err)
 
 

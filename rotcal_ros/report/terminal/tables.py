@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotcal_ros.evaluation.marks import beside_the_curves, marks, withheld
+from rotcal_ros.evaluation.marks import further_statements, marks, why_withheld
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.gum_numbers import uncertainty, value
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # a result is printed without what compares and combines
     from rotcal_ros.evaluation.compare import Comparison
     from rotcal_ros.evaluation.component_groups import ComponentGroup
     from rotcal_ros.evaluation.iso230 import Iso230
-    from rotcal_ros.evaluation.monte_carlo import Propagated
+    from rotcal_ros.evaluation.monte_carlo import PropagatedResult
     from rotcal_ros.evaluation.quick_check import QuickCheck
     from rotcal_ros.evaluation.truth_scores import LeaderboardRow
 
@@ -35,7 +35,7 @@ def print_result(result: Result) -> None:
 
     If no uncertainty may be stated it is left out, and a line says why.
     """
-    columns, reason = [_angles(result.angles)], withheld(result)
+    columns, reason = [_angles(result.angles)], why_withheld(result)
     about, *against = marks(result)
     for name in result.components:
         unit, label = unit_of(name)
@@ -45,7 +45,7 @@ def print_result(result: Result) -> None:
     print_words(f"{result.method}: deviation = actual - commanded{band}")
     print_table(columns)
     print_words(
-        *beside_the_curves(result, valid=not reason),
+        *further_statements(result, valid=not reason),
         *(f"warning: {warning}" for warning in result.warnings),
         *([f"U: not stated, because the verdict is {result.verdict}"] if reason else []),
     )
@@ -168,12 +168,12 @@ def _say_figures(figures: Iso230) -> None:
         print_words(f"{name}: {both} arcsec, U (95 %) {uncertainty(expanded / ARCSEC)}{sides}")
 
 
-def print_uncertainty(both: Propagated) -> None:
+def print_uncertainty(both: PropagatedResult) -> None:
     """Print, for each component, both U and the interval of the trials by angle.
 
     If no uncertainty of the measurement may be stated they are left out, and a line says why.
     """
-    interval, reason = f"{100 * both.spread.probability:g} % interval", withheld(both.result)
+    interval, reason = f"{100 * both.spread.probability:g} % interval", why_withheld(both.result)
     k = f"(k = {COVERAGE_FACTOR:g})"
     tables = []
     for name, part in both.components.items():

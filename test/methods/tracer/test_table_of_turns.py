@@ -87,12 +87,12 @@ def test_three_targets_leave_nothing_to_check_a_place(tmp_path):
 
 def test_more_angles_than_a_result_can_hold_are_refused():
     most = TracerPlanSettings(
-        table_positions=1200, table_step_deg=0.3, turning_deg_s=(12.0, -12.0),
+        table_positions=3600, table_step_deg=0.1, turning_deg_s=(12.0, -12.0),
         targets_m=(0.5, 0.0, 0.3, 0.0, 0.5, 0.6, -0.5, 0.0, 0.3, 0.0, -0.5, 0.6),
     )  # fmt: skip
-    assert len(turning_plan(most).counting) == 1200 * 2 * 4
-    with pytest.raises(PlanError, match="1201 angles at 2 speeds are 2402 places"):
-        turning_plan(replace(most, table_positions=1201))
+    assert len(turning_plan(most).counting) == 3600 * 2 * 4
+    with pytest.raises(PlanError, match="7201 angles at 2 speeds are 14402 places"):
+        turning_plan(replace(most, table_positions=7201))
 
 
 def test_a_table_of_any_other_form_is_not_held_to_be_one_that_turned(scene, tmp_path):

@@ -98,7 +98,7 @@ def test_a_hash_that_is_unknown_or_the_same_is_no_other_version(unknown):
     ],
 )  # fmt: skip
 def test_clocks_that_could_not_be_heard_enough_are_not_passed(heard, compared, state, monkeypatch):
-    monkeypatch.setattr(cell_check, "describe", lambda: "load 19.0 on 2 cores")
+    monkeypatch.setattr(cell_check, "describe_load", lambda: "load 19.0 on 2 cores")
     line = clock_line(seen(PLAIN, heard=heard, compared=compared))
     assert line.state == state
     assert (state == "good") == ("load 19.0" not in line.found)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import mean_point, points
-from rotcal_ros.capture.instruments.plausibility import scatter_of
+from rotcal_ros.capture.decisions import decide_by_points, mean_point
+from rotcal_ros.capture.instruments.plausibility import reading_scatter
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
@@ -130,7 +130,7 @@ def test_the_points_of_a_tracker_are_in_its_own_frame_and_no_unit_is_read_from_t
 
 def test_readings_are_no_points_of_the_machine():
     """An autocollimator's own frame and small numbers say nothing of the plan's places."""
-    reads = CaptureRules({PointKind.READING: points(mean_point)})
+    reads = CaptureRules({PointKind.READING: decide_by_points(mean_point)})
     angles = replace(TRACER, method=replace(TRACER.method, capture=reads))
     assert doubts(GOOD | {"frame.probe_point": "autocollimator"}, angles) == []
 
@@ -161,5 +161,5 @@ def test_a_slow_motion_and_a_jump_are_no_scatter():
     rng = np.random.default_rng(1)
     noise = rng.normal(0.0, 3e-7, 200)
     moved = 0.5 + 1e-5 * np.arange(200) + 0.1 * (np.arange(200) > 150)
-    assert scatter_of(moved + noise) == pytest.approx(3e-7, rel=0.25)
-    assert scatter_of(noise[:5]) is None
+    assert reading_scatter(moved + noise) == pytest.approx(3e-7, rel=0.25)
+    assert reading_scatter(noise[:5]) is None

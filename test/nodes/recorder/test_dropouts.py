@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy")
 from rosbags.highlevel import AnyReader
 
-from rotcal_ros.bags.dropouts import GAP, QUEUE, REPORTED, SILENCE, Dropout, counters
+from rotcal_ros.bags.dropouts import GAP, QUEUE, REPORTED, SILENCE, Dropout, loss_counters
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
@@ -105,4 +105,4 @@ def test_the_counters_follow_from_the_dropouts():
         Dropout("/a", 0, 1, 3, GAP), Dropout("/a", 2, 3, 4, REPORTED, 2),
         Dropout("/a", 0, 9, 0, SILENCE, 2), Dropout("/b", 0, 1, 5, QUEUE),
     ]  # fmt: skip
-    assert counters(told) == {"lost /a": 7, "silent /a": 2, "queue /b": 5}
+    assert loss_counters(told) == {"lost /a": 7, "silent /a": 2, "queue /b": 5}

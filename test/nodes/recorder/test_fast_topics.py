@@ -14,7 +14,7 @@ from rotcal_msgs.msg import TracerLength
 
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import NodeState, State
-from rotcal_ros.nodes.recorder.topic_listener import FAST_PERIOD_S, TopicListener
+from rotcal_ros.nodes.recorder.node import FAST_PERIOD_S, TopicListener
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import STREAM
 from rotcal_ros.sessions.processes import node_environment

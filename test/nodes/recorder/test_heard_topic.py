@@ -10,9 +10,9 @@ pytest.importorskip("rclpy")
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture.instruments.conventions import Conventions
-from rotcal_ros.nodes.recorder import topic_listener
+from rotcal_ros.nodes.recorder import node as recorder
+from rotcal_ros.nodes.recorder.node import HeardTopic
 from rotcal_ros.nodes.recorder.recording import Channel
-from rotcal_ros.nodes.recorder.topic_listener import HeardTopic
 
 SECOND = 1_000_000_000
 
@@ -47,9 +47,9 @@ def test_a_topic_whose_subscription_fails_is_tried_again(monkeypatch):
             raise RuntimeError("the graph has just changed")
 
     for name in ("message_type", "adapted_qos", "described_channel"):
-        monkeypatch.setattr(topic_listener, name, lambda *_arguments: SimpleNamespace())
-    monkeypatch.setattr(topic_listener, "_wanted_topics", lambda *_: {"/cell/plan": "a type"})
-    listener = object.__new__(topic_listener.TopicListener)
+        monkeypatch.setattr(recorder, name, lambda *_arguments: SimpleNamespace())
+    monkeypatch.setattr(recorder, "_wanted_topics", lambda *_: {"/cell/plan": "a type"})
+    listener = object.__new__(recorder.TopicListener)
     listener.topics, listener.refused, listener._stop = {}, {}, []
     publisher = SimpleNamespace(qos_profile=None)
     listener._node = SimpleNamespace(get_publishers_info_by_topic=lambda _name: [publisher])

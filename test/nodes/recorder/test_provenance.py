@@ -14,7 +14,7 @@ CONFIG = Path(__file__).parents[3] / "config"
 
 @pytest.mark.parametrize(("name", "simulated"), [("tracer", "false"), ("tracer_demo", "true")])
 def test_a_bag_says_what_was_measured_and_whether_anything_was(name, simulated):
-    from rotcal_ros.nodes.recorder.provenance import subject
+    from rotcal_ros.nodes.recorder.node import subject
 
     found = subject((CONFIG / f"{name}.yaml").read_text())
     assert found["simulated"] == simulated
@@ -67,16 +67,16 @@ def turn(tasks):
 
 def asked_of(monkeypatch, answer):
     """Return a recording whose nodes are asked, the asking, and its coroutine."""
-    from rotcal_ros.nodes.recorder import provenance
+    from rotcal_ros.nodes.recorder import node as recorder
 
     async def until(condition, _timeout_s):
         while not condition():
             await Turn()
 
-    monkeypatch.setattr(provenance, "_parameters_of", answer)
-    monkeypatch.setattr(provenance, "until", until)
+    monkeypatch.setattr(recorder, "_parameters_of", answer)
+    monkeypatch.setattr(recorder, "until", until)
     cell = Open()
-    parameters = provenance.NodeParameters(cell, cell)
+    parameters = recorder.NodeParameters(cell, cell)
     return cell, parameters, parameters.ask()
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("rotcal_msgs")
 from builtin_interfaces.msg import Time
 from rotcal_msgs.msg import CalibrationPlan
 
-from rotcal_ros.capture.publishers import PATIENCE_S, RUN, run_name
+from rotcal_ros.capture.publishers import PATIENCE_S, RUN, unique_run_name
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.nodes.runtime import announced_plan as plans
 from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN, PlanSubscription
@@ -67,7 +67,7 @@ def test_the_planners_plan_is_taken_with_its_beat_whatever_came_before_it_or_beh
     for message in order:
         node.offer(message)
     assert taken == []
-    node.goal = run_name(OURS)
+    node.goal = unique_run_name(OURS)
     node.look()
     assert taken == [OURS]
     clock.now_s += PATIENCE_S + 0.1
@@ -94,7 +94,7 @@ def test_a_node_that_has_just_been_started_waits_until_it_knows_the_planner(cloc
     for message in (OURS, STRAY):
         node.offer(message)
     assert taken == []
-    node.goal = run_name(OURS)
+    node.goal = unique_run_name(OURS)
     node.health.others["planner"] = object()
     node.look()
     assert taken == [OURS]
@@ -150,7 +150,7 @@ def test_a_strangers_plan_that_is_none_is_said_and_is_no_error_of_the_node(clock
 def test_the_planners_own_plan_that_cannot_be_used_is_an_error(clock):
     node = Node()
     PlanSubscription(node, refuse)
-    node.goal = run_name(OURS)
+    node.goal = unique_run_name(OURS)
     with pytest.raises(ConfigurationError, match="plan ours names no method"):
         node.offer(OURS)
 
@@ -167,12 +167,12 @@ def test_the_planner_hears_at_once_who_cannot_take_its_plan_until_another_comes(
             raise errors.pop()
 
     PlanSubscription(node, take)
-    node.goal = run_name(OURS)
+    node.goal = unique_run_name(OURS)
     with pytest.raises(type(error)):
         node.offer(OURS)
-    assert node.beats == [{REFUSED_RUN: f"{run_name(OURS)} {why}"}]
+    assert node.beats == [{REFUSED_RUN: f"{unique_run_name(OURS)} {why}"}]
     later = plan("later")
-    node.goal = run_name(later)
+    node.goal = unique_run_name(later)
     node.offer(later)
     assert node.health.alarms == {}
 

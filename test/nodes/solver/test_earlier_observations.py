@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_msgs.msg import CalibrationPlan
 
-from rotcal_ros.capture.publishers import RUN, run_name
+from rotcal_ros.capture.publishers import RUN, unique_run_name
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.methods.continuation import Recorded
 from rotcal_ros.nodes.solver import node as solver
@@ -64,7 +64,7 @@ def asked(**how):
 
 
 def test_a_recorder_that_is_not_heard_is_waited_for_and_asked_again(clock):
-    node, taken = asked(goal=run_name(PLAN))
+    node, taken = asked(goal=unique_run_name(PLAN))
     clock.now_s += 10 * PATIENCE_S
     node.look()
     assert taken == []
@@ -86,7 +86,7 @@ def test_a_recorder_that_is_not_heard_is_waited_for_and_asked_again(clock):
 def test_the_beat_of_the_planner_may_come_after_its_plan(clock):
     node, taken = asked()
     node.look()
-    node.goal = run_name(PLAN)
+    node.goal = unique_run_name(PLAN)
     clock.now_s += NO_GOAL_S + 0.1
     node.look()
     assert taken == []

@@ -16,7 +16,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, sha256_of
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 from rotcal_ros.bags.session_identity import session_of
-from rotcal_ros.bags.unread_data import unread
+from rotcal_ros.bags.unread_data import collect_unread
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
@@ -85,7 +85,7 @@ def _in_words(error: Exception) -> str:
 
 
 def _solve(job: Job, path: Path, key: str) -> BagOutcome:
-    with unread() as missing:
+    with collect_unread() as missing:
         recording = read_recording(path, configuration=job.configuration)
     starts = [v.start_ns for v in recording.verdicts if v.start_ns is not None]
     return BagOutcome(

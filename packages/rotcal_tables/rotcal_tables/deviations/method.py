@@ -18,7 +18,7 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import t_isf, t_sf
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.capture.decisions import decide_by_points, mean_point
 from rotcal_ros.evaluation.combination import UNCHECKED
 from rotcal_ros.evaluation.reference import UNCERTAINTIES, require_known_factor
 from rotcal_ros.foundation.arrays import Floats, Ints, std_of
@@ -237,7 +237,7 @@ METHOD: Final = Method(
     plan_settings=DeviationPlanSettings,
     solver_settings=DeviationSolverSettings,
     plan=plan,
-    capture=CaptureRules({PointKind.READING: points(mean_point)}),
+    capture=CaptureRules({PointKind.READING: decide_by_points(mean_point)}),
     solve=solve,
     simulation_settings=DeviationSimulationSettings,
     simulated_instrument=SimulatedIndexer,

@@ -290,14 +290,9 @@ class Posed:
             rows = csr_array(motion.rows - across @ turning.moved(lengths, SPECTRA))
             model = KnownBeforehand(motion.what, rows, np.tile(supposed.other, m)).beside(model)
             model = turning.with_motion(model, lengths, SPECTRA, FREE_CIRCLE)
-        if problem.lag is not None:
-            row = lengths.rows_of(LAG)
-            model = model.with_prior(
-                "the stated lag", row, np.array([problem.lag]), problem.lag_std
-            )
         shared = [name for name in lengths.blocks if name not in ("shift", "turn")]
         model = replace(model, shared=shared)  # hundreds of places, and few targets
-        return turning.of_one_table(model, lengths, lag_is_stated=problem.lag is not None)
+        return turning.of_one_table(model, lengths, problem.lag, problem.lag_std)
 
 
 def about_axis(

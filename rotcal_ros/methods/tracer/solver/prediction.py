@@ -102,4 +102,6 @@ def predicted(problem: TracerProblem, stations: Floats | None = None) -> Predict
     else:
         covariance = fit.covariance(slice(len(model.outputs)))
     slips = unseen_slips(problem, fit, np.sqrt(covariance.diagonal()))
-    return Prediction(posed, fit, covariance if slips is None else covariance + slips.covariance)
+    if slips is not None:
+        covariance = covariance + slips.root @ slips.root.T
+    return Prediction(posed, fit, covariance)

@@ -26,6 +26,7 @@ from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.observable import family_observable_by
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.compact import CompactCovariance, Spread, written
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
@@ -57,7 +58,7 @@ from rotcal_ros.methods.tracer.solver.posed import (
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
 from rotcal_ros.methods.tracer.solver.reported import Reported, nearest, weighed
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
-from rotcal_ros.methods.tracer.solver.turning import InTime, Runs, other_motion
+from rotcal_ros.methods.tracer.solver.turning import InTime, Runs, in_time, other_motion
 
 SLIPS_FOUND: Final = noted(
     "{0} is found in {1:.0f} % of the cases, by these lengths in this order; the uncertainty "
@@ -82,7 +83,7 @@ SMALL: Final = 1e-3
 
 
 class UnseenSlips(NamedTuple):
-    """A fringe of ``size`` (m) slipped unseen: what it adds to the ``covariance`` (m, m), rad^2.
+    """A fringe of ``size`` (m) slipped unseen: the ``root`` (m, s) of what it adds, rad.
 
     ``found``: how probably one at any moment is found; ``worst``: what one that is not may do, in
     standard uncertainties.
@@ -90,8 +91,13 @@ class UnseenSlips(NamedTuple):
 
     size: float
     found: float
-    covariance: Floats
+    root: Floats
     worst: float
+
+    @property
+    def variances(self) -> Floats:
+        """What it adds to the variances (m,) of ECC, rad^2."""
+        return np.asarray((self.root**2).sum(axis=1))
 
     def protection(self) -> Protection:
         """Return the statement about slips."""
@@ -157,14 +163,22 @@ class TracerSolution:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (m, m) of ECC, rad^2."""
+        return written(self.spread)
+
+    @cached_property
+    def spread(self) -> Spread:
+        """The same in the form in which it is kept."""
+        spread = self.found.spread
         if self.slips is None:
-            return self.found.covariance
-        return self.found.covariance + self.slips.covariance
+            return spread
+        if isinstance(spread, CompactCovariance):
+            return spread.plus(CompactCovariance.shared(self.slips.root))
+        return np.asarray(spread + self.slips.root @ self.slips.root.T)
 
     @cached_property
     def std(self) -> Floats:
         """Standard uncertainties (m,) of ECC, rad."""
-        unseen = 0.0 if self.slips is None else self.slips.covariance.diagonal()
+        unseen = 0.0 if self.slips is None else self.slips.variances
         return np.sqrt(self.found.std**2 + unseen)
 
     @cached_property
@@ -217,9 +231,7 @@ class TracerSolution:
         trials = self.found.trials
         if self.slips is None:
             return trials
-        values, ways = np.linalg.eigh(self.slips.covariance)
-        slipped = ways * np.sqrt(np.maximum(values, 0.0))
-        return replace(trials, causes=np.hstack([trials.causes, slipped]))
+        return replace(trials, causes=np.hstack([trials.causes, self.slips.root]))
 
     @cached_property
     def motion(self) -> TableMotion:
@@ -314,8 +326,8 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
 
 
 def _first(posed: Posed, supposed: Supposed) -> TracerSolution:
-    found, in_time = _solved(posed, supposed)
-    return TracerSolution(posed, found, supposed, in_time=in_time)
+    found, noise = _solved(posed, supposed)
+    return TracerSolution(posed, found, supposed, in_time=noise)
 
 
 def _solved(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
@@ -345,10 +357,7 @@ def _turned(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
         other = max(other_motion(runs, lengths.angles, first.fit.residual[rows]), ROUND)
         model = posed.model(replace(supposed, other=(other, other)))
         first = replace(first, model=model, start=first.fit.x).as_likely
-    in_time = InTime.of(lengths, posed.problem.earlier[lengths.row], first.fit)
-    if in_time.independent:
-        return adjusted(replace(first.model, start=first.fit.x), limits), None
-    return adjusted(in_time.model(first.model), limits), in_time
+    return in_time(first, lengths, posed.problem.earlier[lengths.row], limits)
 
 
 def _weighed(solution: TracerSolution) -> TracerSolution:
@@ -363,8 +372,8 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
 
 
 def _again(solution: TracerSolution, supposed: Supposed) -> TracerSolution:
-    found, in_time = _solved(solution.posed, supposed)
-    return replace(solution, found=found, supposed=supposed, in_time=in_time)
+    found, noise = _solved(solution.posed, supposed)
+    return replace(solution, found=found, supposed=supposed, in_time=noise)
 
 
 def _contradicted(solution: TracerSolution) -> TracerSolution:
@@ -424,11 +433,11 @@ def unseen_slips(
     apart = problem.slip * np.sqrt(np.maximum(seen.information[:, 0, 0], 0.0)) / scale
     missed = 1.0 - ndtr(apart - limit)
     moved = problem.slip * seen.moved[:]
-    covariance = (moved.T * (SLIPPED / len(missed) * missed)) @ moved
+    root = moved.T * np.sqrt(SLIPPED / len(missed) * missed)
     counts = std > 0.0
     hidden = moved[missed > 1.0 - POWER][:, counts] / std[counts]
     worst = float(np.abs(hidden).max(initial=0.0))
-    return UnseenSlips(problem.slip, 1.0 - float(missed.mean()), covariance, worst)
+    return UnseenSlips(problem.slip, 1.0 - float(missed.mean()), root, worst)
 
 
 def as_printed(solution: TracerSolution) -> TracerSolution:

@@ -8,9 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.closures import Closure, closures, difference_variance
+from rotcal_ros.adjust.closures import Closure, closures
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.compact import Covariances, difference_variance, variances_of
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import POWER, Protection
@@ -94,10 +95,10 @@ def result_of(solution: TracerSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
     found, motion, angles = solution.found, solution.motion, solution.table_angles
     problem, lengths, absent = solution.problem, solution.posed.lengths, solution.posed.absent
-    covariance = solution.covariance
+    spread = solution.spread
     closing: tuple[Closure, ...] = ()
     if not problem.repeated_runs:
-        closing = closures(angles, solution.deviations, covariance, solution.positions)
+        closing = closures(angles, solution.deviations, spread, solution.positions)
     doubts, numbering = tuple(_doubts(solution)), _numbering(solution)
     plain = found.result(
         METHOD,
@@ -123,11 +124,11 @@ def result_of(solution: TracerSolution) -> Result:
     return replace(
         every,
         std={"ECC": solution.std},
-        covariance={"ECC": covariance},
+        covariance=Covariances({"ECC": spread}),
         verdict=verdict,
         warnings=warnings,
         adjacent_deviations=np.diff(solution.deviations),
-        adjacent_std=np.sqrt(difference_variance(covariance, steps, steps + 1)),
+        adjacent_std=np.sqrt(difference_variance(spread, steps, steps + 1)),
         zeros=Zeros("first angle"),
         budget=_budget(solution),
         placement=Placement.upwards(
@@ -172,14 +173,14 @@ def _budget(solution: TracerSolution) -> dict[str, Floats]:
         budget["error_motion"] = found.scale**2 * (along**2).sum(axis=1)
         budget["circle"] = budget["circle"] - budget["error_motion"]
     gathered = found.diagnosis.gathering.covariance()
-    beside = np.zeros(m) if gathered is None else gathered.diagonal()[:m]
+    beside = np.zeros(m) if gathered is None else variances_of(gathered)[:m]
     possible = [(moved[:m] ** 2).sum(axis=1) for moved in found.diagnosis.possible()]
     beside = np.sum([beside, *possible], axis=0)
     whole = sum(budget.values(), np.zeros(m))
     larger = np.where(whole > 0.0, (found.std**2 - beside) / np.where(whole > 0.0, whole, 1.0), 0)
     budget = {source: each * larger for source, each in budget.items()}
     if solution.slips is not None:
-        budget["slips"] = solution.slips.covariance.diagonal()
+        budget["slips"] = solution.slips.variances
     if beside.any():
         budget["gathered"] = beside
     return {name: np.sqrt(np.maximum(each, 0.0)) for name, each in budget.items()}
@@ -381,11 +382,11 @@ def _returned(solution: TracerSolution) -> list[dict[str, Any]]:
     Table positions ``first`` and ``last`` stand at the same angle; along the circle their stations
     lie apart by less than ``within`` (m), with 95 %.
     """
-    covariance = solution.covariance
+    spread = solution.spread
     # without the error motion: that is searched for
     budget = 2.0 * (solution.error_motion.used / solution.motion.radius) ** 2
     found = []
-    for c in closures(solution.table_angles, solution.deviations, covariance, solution.positions):
+    for c in closures(solution.table_angles, solution.deviations, spread, solution.positions):
         std = float(np.sqrt(max(c.std**2 - budget, 0.0)))
         within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
         found.append({"first": c.first, "last": c.last, "within": within})

@@ -14,11 +14,12 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.closures import Closure, closures, difference_variance
+from rotcal_ros.adjust.closures import Closure, closures
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.compact import difference_variance
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import Protection, ordered

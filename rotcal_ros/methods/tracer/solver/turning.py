@@ -33,13 +33,16 @@ from scipy.linalg import solve_banded, solve_toeplitz
 from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
 
 from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
+from rotcal_ros.adjust.engine import Adjusted
+from rotcal_ros.adjust.engine import adjust as adjusted
 from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.robust_start import NORMAL_QUARTILE
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
+from rotcal_ros.methods.tracer.solver.carried_lengths import LAG, CarriedLengths
 
 MOTION: Final = "motion"
 """The block of the error motion's low orders: cosines and sines of x and y, order by order."""
@@ -52,6 +55,8 @@ FORGOTTEN: Final = 1e-4
 """Share of a reading's noise that is no matter to a later one."""
 SAME: Final = 1e-9
 """By how much (rad) runs that show one table may differ in their mean."""
+AT_ONCE: Final = 256
+"""Places of which it is asked at once what they do to later ones."""
 GROSS: Final = 4.0
 """Residuals, in their scatter, beyond which one is no noise."""
 
@@ -149,7 +154,8 @@ class InTime:
         ``again`` (k,): how often the pair of each was measured before.
         """
         runs, k = Runs.of(lengths), len(lengths.row)
-        number = lengths.target + len(lengths.targets) * again
+        kinds = np.column_stack([again, lengths.place, lengths.target])
+        number = np.unique(kinds, axis=0, return_inverse=True)[1].ravel()
         series = np.full((int(number.max()) + 1, len(lengths.angles)), np.nan)
         white = np.where(fit.used[:k], fit.white[:k], np.nan)
         usual = float(np.nanmedian(np.abs(white)) / NORMAL_QUARTILE)
@@ -212,34 +218,47 @@ class InTime:
     @cached_property
     def places(self) -> csr_array:
         """What takes the unknowns of the model to those of the lengths, (p, p)."""
-        m, size = len(self.lengths.angles), self.lengths.size
-        every = []
+        m, every = len(self.lengths.angles), list[csr_array]()
         for number, noise in enumerate(self.noise):
             mine = np.flatnonzero(self.runs.number == number)
             mine = mine[np.argsort(self.runs.place[mine])]
             news, count = self.at_places[mine][:, mine], len(mine)
-            bands = np.zeros((noise.order + 1, count))
+            bands, back = np.zeros((noise.order + 1, count)), []
             for k in range(noise.order + 1):
                 bands[k, : count - k] = news.diagonal(-k)
-            back = solve_banded((noise.order, 0), bands, np.eye(count))
-            back[np.abs(back) < FORGOTTEN] = 0.0
+            for begin in range(0, count, AT_ONCE):
+                unit = np.eye(count, min(AT_ONCE, count - begin), -begin)
+                some = solve_banded((noise.order, 0), bands, unit)
+                some[np.abs(some) < FORGOTTEN] = 0.0
+                back.append(csr_array(some))
             pick = csr_array((np.ones(count), mine, np.arange(count + 1)), shape=(count, m))
-            every.append(pick.T @ csr_array(back) @ pick)
+            every.append(pick.T @ hstack(back, format="csr") @ pick)
         whole = csr_array(sum(every[1:], every[0]))
-        apart = [_kron(whole, 3), whole, eye_array(size - 4 * m)]
-        return csr_array(block_diag(apart, format="csr"))
+        rest = eye_array(self.lengths.size - self._own)
+        parts = [*(_kron(whole, ways) for ways in self._ways), rest]
+        return csr_array(block_diag(parts, format="csr"))
+
+    @property
+    def _ways(self) -> tuple[int, int]:
+        """In how many ways a position shifts, and turns."""
+        return 3, len(self.lengths.turning)
+
+    @property
+    def _own(self) -> int:
+        """How many unknowns belong to positions; they come first."""
+        return sum(self._ways) * len(self.lengths.angles)
 
     def model(self, model: Model) -> Model:
         """Return a ``model`` of independent lengths as one of these, about its solution."""
         computed, design = model.linearised(self.x)
         assert isinstance(design, FewEach)
-        k, m, to = len(self.lengths.row), len(self.lengths.angles), self.places
-        news, slowly, grown = self._of_rows(design.few[:, : 4 * m], model.of_component)
-        few = hstack([design.few[:, : 4 * m], slowly @ design.few[:, 4 * m :]], format="csr")
+        k, own, to = len(self.lengths.row), self._own, self.places
+        news, slowly, grown = self._of_rows(design.few[:, :own], model.of_component)
+        few = hstack([design.few[:, :own], slowly @ design.few[:, own:]], format="csr")
         whole = FewEach(csr_array(few), design.known @ to)
         x = self.x.copy()
-        x[: 3 * m] = _kron(self.at_places, 3) @ x[: 3 * m]
-        x[3 * m : 4 * m] = self.at_places @ x[3 * m : 4 * m]
+        forward = [_kron(self.at_places, ways) for ways in self._ways]
+        x[:own] = block_diag(forward, format="csr") @ x[:own]
         n = few.shape[0]
         left = model.observed - computed
         left[:n] = news @ left[:n]
@@ -296,6 +315,19 @@ def _news(own: Ints, before: Ints, ahead: Floats, left: Floats) -> csr_array:
         (np.concatenate([np.arange(len(own)), row]), np.concatenate([own, before[there]])),
     )
     return csr_array(entries, shape=(len(own), len(own)))
+
+
+def in_time(
+    first: Diagnosis, lengths: CarriedLengths, again: Ints, limits: Limits
+) -> tuple[Adjusted, InTime | None]:
+    """Return the solution with the noise in time that a ``first`` one shows; None: there is none.
+
+    That takes readings to be independent. ``again`` as of :meth:`InTime.of`.
+    """
+    found = InTime.of(lengths, again, first.fit)
+    if found.independent:
+        return adjusted(replace(first.model, start=first.fit.x), limits), None
+    return adjusted(found.model(first.model), limits), found
 
 
 def with_motion(
@@ -361,20 +393,25 @@ def moved(lengths: CarriedLengths, spectra: Mapping[Spectrum, float]) -> csr_arr
     return csr_array(csr_array(np.kron(waves, np.eye(2))) @ lengths.rows_of(MOTION))
 
 
-def of_one_table(model: Model, lengths: CarriedLengths, *, lag_is_stated: bool) -> Model:
-    """Return the model whose runs show one table: its mean reversal, or lag, by what is known.
+def of_one_table(
+    model: Model, lengths: CarriedLengths, lag: float | None, lag_std: float
+) -> Model:
+    """Return the model whose runs show one table: its mean reversal, or ``lag``, as it is known.
 
     Runs of one direction have the same mean. One speed and its reverse are held to have so, too,
     unless the lag is stated: nothing else tells them apart.
     """
     runs, begin = Runs.of(lengths), lengths.first["turn"]
+    each = len(lengths.turning)  # of which the last is about the axis
     mean = np.zeros((len(runs.speed), lengths.size))
     for number in range(len(runs.speed)):
         mine = np.flatnonzero(runs.number == number)
-        mean[number, begin + mine] = 1.0 / len(mine)
+        mean[number, begin + each * mine + each - 1] = 1.0 / len(mine)
     sides = [np.flatnonzero(runs.speed * sense > 0.0) for sense in (1.0, -1.0)]
     same = np.concatenate([mean[side[1:]] - mean[side[:1]] for side in sides])
-    if not (len(same) or lag_is_stated):
+    if lag is not None:
+        model = model.with_prior("the stated lag", lengths.rows_of(LAG), np.array([lag]), lag_std)
+    elif not len(same):
         same = mean[1:] - mean[:1]
     if not len(same):
         return model
