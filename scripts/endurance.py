@@ -181,7 +181,7 @@ def possible() -> list[str]:
     return [name for name in TROUBLES if can.get(name, True)]
 
 
-def one(method: str, name: str, generator: random.Random) -> dict[str, Any]:
+def calibrated(method: str, name: str, generator: random.Random) -> dict[str, Any]:
     """Calibrate under a trouble; continue what was broken off; return what came of it."""
     begin, quiet = time.monotonic(), PLACE / f"{method}.json"
     with tempfile.TemporaryDirectory(prefix="endurance") as text:
@@ -284,7 +284,7 @@ def main() -> int:
         name = troubles[(number + number // len(asked.methods)) % len(troubles)]
         if not (PLACE / f"{method}.json").exists():
             name = "none"  # what the others are held against
-        done.append(one(method, name, generator))
+        done.append(calibrated(method, name, generator))
         with LINES.open("a") as file:
             file.write(json.dumps(done[-1]) + "\n")
         print(json.dumps(done[-1]), flush=True)
