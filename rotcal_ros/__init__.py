@@ -8,7 +8,7 @@ result of any method is a ``Result``.
 
 from importlib import import_module
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _NAMES = {
     "api.reading": (

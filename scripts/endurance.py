@@ -181,7 +181,7 @@ def possible() -> list[str]:
     return [name for name in TROUBLES if can.get(name, True)]
 
 
-def one(method: str, name: str, generator: random.Random) -> dict[str, Any]:
+def calibrated(method: str, name: str, generator: random.Random) -> dict[str, Any]:
     """Calibrate under a trouble; continue what was broken off; return what came of it."""
     begin, quiet = time.monotonic(), PLACE / f"{method}.json"
     with tempfile.TemporaryDirectory(prefix="endurance") as text:
@@ -195,10 +195,9 @@ def one(method: str, name: str, generator: random.Random) -> dict[str, Any]:
             while code not in (0, 1) and runs < 3 and folder.exists():
                 code, out = calm.run("--resume", str(folder))
                 runs += 1
-            left = session.left_behind() + calm.left_behind()
             found = {
                 "method": method, "trouble": name, **noted, "code": code, "runs": runs,
-                "seconds": round(time.monotonic() - begin), "left_behind": len(left),
+                "seconds": round(time.monotonic() - begin),
                 "resume_error": calm.noted.get("error", []),
                 "mb": {n: round(s[-1][1]) for n, s in session.nodes.memory.items()},
             }  # fmt: skip
@@ -216,6 +215,7 @@ def one(method: str, name: str, generator: random.Random) -> dict[str, Any]:
                 )  # fmt: skip
                 found["in_history"] = added.returncode == 0
                 found |= {} if found["in_history"] else {"history_says": added.stderr[-200:]}
+        found["left_behind"] = len(session.left_behind() + calm.left_behind())
     return found
 
 
@@ -284,7 +284,7 @@ def main() -> int:
         name = troubles[(number + number // len(asked.methods)) % len(troubles)]
         if not (PLACE / f"{method}.json").exists():
             name = "none"  # what the others are held against
-        done.append(one(method, name, generator))
+        done.append(calibrated(method, name, generator))
         with LINES.open("a") as file:
             file.write(json.dumps(done[-1]) + "\n")
         print(json.dumps(done[-1]), flush=True)

@@ -31,9 +31,9 @@ git clone --quiet --no-hardlinks . "$machine/rotcal_ros"
 for settings in /etc/pip.conf /etc/xdg/pip /etc/resolv.conf /etc/ssl/certs/ca-certificates.crt; do
     [[ ! -e $settings ]] || cp -rL --parents "$settings" "$machine"
 done
-mapfile -t told < <(env | grep '^PIP_' || true)
+mapfile -t settings_of_pip < <(env | grep '^PIP_' || true)
 unshare --mount --pid --fork --mount-proc="$machine/proc" chroot "$machine" \
-    env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin "${told[@]}" \
+    env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin "${settings_of_pip[@]}" \
     make -C /rotcal_ros release RELEASE_ARGS=--rehearse
 mkdir -p out
 rm -rf out/rehearsal

@@ -3,7 +3,7 @@
 from setuptools import find_packages, setup
 
 NAME = "rotcal_controllers"
-VERSION = "0.1.0"
+VERSION = "1.0.0"
 CONTROLLERS = {
     "acs": "Acs",
     "aerotech": "Aerotech",

@@ -3,7 +3,7 @@
 from setuptools import find_packages, setup
 
 NAME = "rotcal_history"
-VERSION = "0.1.0"
+VERSION = "1.0.0"
 NODE = f"calibration_status = {NAME}.node.calibration_status:main"
 
 setup(

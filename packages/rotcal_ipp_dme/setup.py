@@ -3,7 +3,7 @@
 from setuptools import find_packages, setup
 
 NAME = "rotcal_ipp_dme"
-VERSION = "0.1.0"
+VERSION = "1.0.0"
 NODE = f"dme_adapter = {NAME}.node:main"
 
 setup(

@@ -3,7 +3,7 @@
 from setuptools import find_packages, setup
 
 NAME = "rotcal_papers"
-VERSION = "0.1.0"
+VERSION = "1.0.0"
 
 setup(
     name=NAME,

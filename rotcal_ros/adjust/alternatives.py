@@ -188,5 +188,5 @@ def protections(every: Sequence[WeighedAlternative]) -> Iterator[Protection]:
             continue
         why = phrase("that {0} cannot be: such readings are refused", what)
         if np.isfinite(gain):
-            why = phrase("the readings contradict that {0} ({1:.1g} : 1)", what, _odds(-gain))
+            why = phrase("contradicted by the readings ({1:.1g} : 1): {0}", what, _odds(-gain))
         yield Protection(effect, "tested", why)

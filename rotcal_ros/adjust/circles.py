@@ -255,10 +255,12 @@ class Circular(Design):
         """
         if self.extra.shape[1]:
             return self._kernel()
-        last = self.turns.last
-        if not last or not np.array_equal(last[0][0], self.weight):
-            last[:] = [(self.weight, self._kernel())]
-        return last[0][1]
+        for weight, kept in self.turns.last:
+            if np.array_equal(weight, self.weight):
+                return kept
+        found = self._kernel()
+        self.turns.last[:] = [(self.weight, found)]
+        return found
 
     def _kernel(self) -> Kernel | None:
         share, usual, odd = self.turns.shares(self.weight)

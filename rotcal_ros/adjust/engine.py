@@ -62,29 +62,28 @@ from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
 NO_OTHER_CHECKS: Final = noted(
-    "{0} of {1} {2} are checked by no other: an error in them stays unseen"
+    "{0} of {1} {2} are not checked by others: an error in them goes undetected"
 )
 NOT_ASKED: Final = noted(
-    "of groups of more than {0} {1} it is not asked which of them are off together, only whether "
-    "all of them fit"
+    "groups of more than {0} {1} are only tested as a whole, not for subsets that are off together"
 )
-MANY_LOST: Final = noted("{0} of {1} {2} were left out, more than {3:g} % is suspicious")
-UNCONTRADICTED: Final = noted("no {0} are left to check the others: nothing could contradict")
+MANY_LOST: Final = noted("{0} of {1} {2} were rejected; more than {3:g} % is suspicious")
+UNCONTRADICTED: Final = noted("no redundant {0}: nothing checks the result")
 RIVALLED: Final = noted(
-    "that {0} explains what was read, but others explain it nearly as well (likelihood in "
+    "it looks as if {0}, but others explain the readings nearly as well (likelihood in "
     "brackets): {1}; the uncertainty covers them all"
 )
 TAKEN_OFF: Final = noted(
-    "it looks as if {0}: it was corrected for, and the uncertainty includes it; find the cause, "
-    "and measure again"
+    "it looks as if {0}: this was corrected, and its uncertainty is included; find the "
+    "cause and measure again"
 )
 ENLARGED: Final = noted(
     "the residuals are {0:.2g} times what their standard deviations allow (chi-squared test): "
     "the uncertainty is enlarged by that factor"
 )
 SCATTERS: Final = noted(
-    "the scatter of {0} is {1:.2g} times as stated: the estimate is used; state it, or look for "
-    "drift"
+    "the scatter of {0} is {1:.2g} times the stated value: the estimate is used; state "
+    "it, or look for drift"
 )
 
 COVARIANCE_LIMIT: Final = 720
@@ -644,7 +643,7 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
             yield Protection(
                 name,
                 "estimated",
-                phrase("it was found that {0}; it was corrected for", phrase(effect.what)),
+                phrase("found and corrected: {0}", phrase(effect.what)),
             )
     for name, (hides, effect) in worst.items():
         silent = phrase("leaves no residual")
@@ -721,7 +720,8 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
         )
         return
     why = phrase(
-        "{0} hardly check each other: an error in one of them stays unseen", phrase(words.elements)
+        "{0} barely check each other: an error in one of them goes undetected",
+        phrase(words.elements),
     )
     if weak := _unchecked(fit):
         why = phrase(NO_OTHER_CHECKS, weak, len(each), phrase(words.elements))

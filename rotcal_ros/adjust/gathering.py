@@ -131,12 +131,12 @@ def doubts(
     if judgement is not None and gathering.chance < SUSPECTED:
         name = judgement.groups[judgement.worst].name
         why = phrase(
-            "the {0} of {1} look as if some of them were off together (p = {2:.2g} on sound {3})",
+            "some {0} of {1} appear to be off together (p = {2:.2g} for sound {3})",
             phrase(words.elements), name, gathering.chance, phrase(words.elements)
         )  # fmt: skip
         yield phrase(
-            "{0}, which ones is not certain: the uncertainty holds what that may do; look for "
-            "{1} {2}, and measure it again", why, phrase(words.cause), phrase(words.its)
+            "{0}; it is uncertain which, and U includes it; look for {1} {2}, and "
+            "measure it again", why, phrase(words.cause), phrase(words.its)
         )  # fmt: skip
     yield from _counted(gathering.counts, named, rejected_share, significance, words)
 

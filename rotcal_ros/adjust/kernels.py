@@ -583,10 +583,12 @@ class Defined(Kernel):
 
         The last one is kept with the base.
         """
-        last = base.defined_last
-        if not last or last[0][0] is not definitions:
-            last[:] = [(definitions, cls._of(base, definitions))]
-        return last[0][1]
+        for asked, kept in base.defined_last:
+            if asked is definitions:
+                return kept
+        found = cls._of(base, definitions)
+        base.defined_last[:] = [(definitions, found)]
+        return found
 
     @classmethod
     def _of(cls, base: Kernel, definitions: Floats) -> Defined:

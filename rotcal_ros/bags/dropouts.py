@@ -23,11 +23,11 @@ _LARGEST: Final = 1 << 64
 """Beyond any log time or count in a bag."""
 MESSAGE_TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
-GAP: Final = "a gap in the numbers of its publisher"
+GAP: Final = "a gap in the publisher's sequence numbers"
 REPORTED: Final = "reported by the middleware"
 QUEUE: Final = "the recorder's queue was full"
 SILENCE: Final = "it was silent"
-UNHEARD: Final = "a publisher whose quality of service cannot be received"
+UNHEARD: Final = "a publisher with an incompatible quality of service"
 
 
 @dataclass(frozen=True, slots=True)

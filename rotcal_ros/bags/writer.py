@@ -322,7 +322,7 @@ class BagWriter:
 
     def _disturbed(self, disturbance: str) -> BagError:
         return BagError(
-            f"cannot go on with the bag {self.folder}: {disturbance}; recording stopped, since "
+            f"cannot continue the bag {self.folder}: {disturbance}; recording stopped, since "
             "data would not be safe there; find out who else uses this folder, or choose another"
         )
 

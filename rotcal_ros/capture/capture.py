@@ -362,7 +362,7 @@ class Capture:
 
     def _refuse_wrong_stamp(self, sample: ProbeSample) -> None:
         if self._streams.before_set_back(sample.stamp_ns):
-            raise AttemptRejectedError("begun before a clock was set back")
+            raise AttemptRejectedError("started before a clock was set back")
         if self._probe_stamp is not None and sample.stamp_ns <= self._probe_stamp:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)
@@ -455,7 +455,7 @@ class Capture:
             return attempt.rejection(attempt.rejected)
         try:
             if attempt.begin_ns < self._streams.settled_ns and self._set_backs:
-                raise AttemptRejectedError("begun while a clock was set back")
+                raise AttemptRejectedError("started while a clock was being set back")
             outcome = self._judge(attempt)
             if isinstance(outcome, Wait):
                 self._refuse_endless(attempt, outcome)
@@ -476,7 +476,7 @@ class Capture:
             )  # fmt: skip
         if len(self._pending) > _MAX_PENDING:
             raise AttemptRejectedError(
-                "undecided while {0} later attempts were begun", _MAX_PENDING
+                "not decided before {0} later attempts started", _MAX_PENDING
             )
 
     def _judge(self, attempt: Attempt) -> Observation | Wait:

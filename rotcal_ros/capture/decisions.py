@@ -51,7 +51,7 @@ CLOCK_JUMP_S: Final = 0.5
 LONG_PAUSE: Final = 10.0
 """so many times as long as they usually are apart."""
 _MEMORY: Final = phrase(
-    "samples of that time are no longer in memory: one stream is far behind the others"
+    "samples of that time have left memory: one stream lags far behind the others"
 )
 
 
@@ -130,14 +130,14 @@ def _too_few(
     count = max(0, tracer.index(deadline + 1) - first)
     left_s = max(0.0, seconds(deadline - begin))
     reason = phrase(
-        "only {0} of {1} tracer readings in the {2:.3g} s that were left after settling", count,
+        "only {0} of {1} tracer readings in the {2:.3g} s remaining after settling", count,
         settings.window_samples, left_s
     )  # fmt: skip
     pauses = np.diff(tracer.stamps[-settings.window_samples :])
     needed_s = settings.window_samples * seconds(int(np.median(pauses))) if len(pauses) else 0.0
     if needed_s > settings.step_timeout_s - settings.settle_time_s:
         reason = phrase(
-            "{0}; so many take {1:.3g} s: a smaller capture.window_samples, or a longer "
+            "{0}; that many take {1:.3g} s: reduce capture.window_samples, or increase "
             "capture.step_timeout_s and planner.step_timeout_s", reason, needed_s
         )  # fmt: skip
     if not count and first < len(tracer.stamps):
@@ -241,7 +241,7 @@ def decide_points(
     if not table.knows(end_ns):
         return Wait(table, end_ns)
     if is_no_longer_in_memory(table, begin_ns):
-        raise AttemptRejectedError("table feedback at the time of the points is not in memory")
+        raise AttemptRejectedError("table feedback from the time of the points has left memory")
     angle = attempt.step.table_angle
     reduced = reduce(samples, attempt.step, settings)
     if departure(table, begin_ns, end_ns, angle, settings) is not None:

@@ -170,7 +170,7 @@ def decide_passage(
     since_ns = max(attempt.search_ns, attempt.due_ns - _half_turn_ns(step))
     if is_no_longer_in_memory(table, since_ns) or is_no_longer_in_memory(read, since_ns):
         raise AttemptRejectedError(
-            "feedback or readings from the begin of the turn are no longer in memory"
+            "feedback or readings from the start of the turn have left memory"
         )
     deadline = attempt.deadline_ns(settings)
     passed = first_passage(table, since_ns, deadline, step)

@@ -139,6 +139,6 @@ class FailedSteps:
         steps = f"{failed} steps running" if failed > 1 else "a step"
         raise TooManyFailedError(
             f"given up: {steps} failed; of their attempts {most_frequent.describe()}. Correct "
-            "that, then go on with 'rotcal run --resume', which measures these steps again "
+            "that, then resume with 'rotcal run --resume', which measures these steps again "
             f"(planner.max_failed_steps = {self.limit} says how many may fail in a row)"
         )

@@ -250,11 +250,9 @@ def _notes(both: PairedCurves, why: Phrase | None, exact: bool) -> list[Phrase]:
     if both.outside:
         notes.append(phrase("{0} angles lie outside the other's arc: left out", both.outside))
     if both.shared is not None:
-        notes.append(
-            phrase("both rest in part on the same observations, which is taken into account")
-        )
+        notes.append(phrase("both use some of the same observations, which is taken into account"))
     if exact:
-        notes.append(phrase("neither curve states an uncertainty: E_n means nothing"))
+        notes.append(phrase("neither curve states an uncertainty: E_n is meaningless"))
     if why:
         notes.append(why)
     return notes
@@ -291,7 +289,7 @@ def suspected_cause(
     if abs(likeness) < ALIKE:
         return None
     ratio = float(np.std(first) / np.std(second))
-    mistakes = [phrase("its sign is turned (commanded - actual?)")] * (likeness < 0.0)
+    mistakes = [phrase("its sign is reversed (commanded - actual?)")] * (likeness < 0.0)
     for factor, mistake in SCALES.items():
         if abs(ratio / factor - 1.0) < 0.2 or abs(ratio * factor - 1.0) < 0.2:
             mistakes.append(phrase(mistake))

@@ -79,10 +79,10 @@ def is_table_hash(state: str) -> bool:
 def describe(state: str) -> str:
     """Return what was in force during a measurement, for people."""
     if is_table_hash(state):
-        return phrase("measured on top of the table {0}: the deviations are what it leaves",
-                      state[:12])  # fmt: skip
+        return phrase("measured with table {0} in force: the deviations are what it leaves "
+                      "uncorrected", state[:12])  # fmt: skip
     if state == NONE:
-        return phrase("measured with no table in force: the deviations are complete")
+        return phrase("measured with no table in force: these are the full deviations")
     return phrase(
         "not known which table was in force: the whole deviation, or what a table leaves"
     )

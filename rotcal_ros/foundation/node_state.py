@@ -191,12 +191,12 @@ STATES: Final = {
 }
 INSTRUCTIONS: Final = {
     Why.WORK: "{0}",
-    Why.STOPPED: "emergency stop: {0}; nothing is ordered, and the present step does not count; "
-    "the recording goes on and the bag is safe; release the stop, then resume",
-    Why.RELEASED: "emergency stop: released, it was: {0}; nothing moves before a person resumes: "
-    "make sure that the cell may move",
-    Why.RELEASED_AND_WORK: "emergency stop: released, it was: {0}; nothing moves before a person "
-    "resumes: make sure that the cell may move ({1})",
+    Why.STOPPED: "emergency stop: {0}; no motion is commanded, and the current step will be "
+    "repeated; recording continues and the bag is safe; release the stop, then resume",
+    Why.RELEASED: "emergency stop released, cause: {0}; nothing moves until a person "
+    "resumes: make sure that the cell is clear to move",
+    Why.RELEASED_AND_WORK: "emergency stop released, cause: {0}; nothing moves until a "
+    "person resumes: make sure that the cell is clear to move ({1})",
 }
 REASONS: Final = {
     Why.TO_CONFIGURE: "ros2 lifecycle set {0} configure && ros2 lifecycle set {0} activate",
@@ -228,9 +228,9 @@ REASONS: Final = {
     **{code: phrase("paused: {0}", text) for code, text in INSTRUCTIONS.items()},
     Why.TABLE_REFUSED: "table refused: {0}",
     Why.TABLE_WRITTEN: "table {0} written, not applied",
-    Why.TABLE_APPLIED: "table applied, read back and equal",
+    Why.TABLE_APPLIED: "table applied and verified by reading it back",
     Why.TABLE_NOT_APPLIED: "table not applied: {0}",
-    Why.TABLE_RESTORED: "old table restored, read back and equal",
+    Why.TABLE_RESTORED: "old table restored and verified by reading it back",
     Why.TABLE_NOT_RESTORED: "old table not restored: {0}",
     Why.REQUEST_REFUSED: "request refused: {0}",
     Why.ORDERED: "step {0}, attempt {1}",

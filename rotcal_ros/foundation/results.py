@@ -407,7 +407,7 @@ class Result:
         if not self.protections:
             if self.dof == 0:
                 return phrase("anything (nothing checked the values)")
-            return phrase("drift and the like (the method says nothing of them)")
+            return phrase("drift and similar effects (the method makes no statement)")
         return join_texts([phrase(effect) for effect in self.unprotected], ", ")
 
     @property

@@ -168,7 +168,7 @@ async def _answered(future: Future[Answer]) -> Response:
         waiting = asyncio.shield(asyncio.wrap_future(future))
         answer = await asyncio.wait_for(waiting, ANSWER_TIMEOUT_S)
     except asyncio.TimeoutError:
-        waited = phrase("the cell has not answered for {0} s", f"{ANSWER_TIMEOUT_S:g}")
+        waited = phrase("no response from the cell for {0} s", f"{ANSWER_TIMEOUT_S:g}")
         return _response(Answer(False, waited), 504)
     return _response(answer, 200 if answer.success else 409)
 

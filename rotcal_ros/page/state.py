@@ -377,16 +377,17 @@ PRESS: Final = phrase("Press Continue when it is done.")
 _STOPS: Final = {
     Why.STOPPED: (
         noted("Emergency stop: {0}."),
-        noted("Nothing is ordered, and the present step does not count. The recording goes on and "
-             "the bag is safe. Release the stop, then press Continue."),
+        noted("No motion is commanded, and the current step will be repeated. Recording "
+              "continues and the bag is safe. Release the stop, then press Continue."),
     ),
     Why.RELEASED: (
-        noted("Emergency stop: released, it was: {0}."),
-        noted("Nothing moves before you press Continue: make sure that the cell may move."),
+        noted("Emergency stop released, cause: {0}."),
+        noted("Nothing moves until you press Continue: make sure that the cell is clear to move."),
     ),
     Why.RELEASED_AND_WORK: (
-        noted("Emergency stop: released, it was: {0}."),
-        noted("Nothing moves before you press Continue: make sure that the cell may move ({1})."),
+        noted("Emergency stop released, cause: {0}."),
+        noted("Nothing moves until you press Continue: make sure that the cell is clear to move "
+              "({1})."),
     ),
 }  # fmt: skip
 """Headline and detail of a stop, to be filled with the arguments of its reason."""

@@ -79,7 +79,7 @@ class AsListed:
     def choose(self) -> Choice:
         """Return the next step of the list."""
         if not self._left:
-            return Choice(None, phrase("all steps of the list are done"), Standing(0))
+            return Choice(None, phrase("all planned steps are done"), Standing(0))
         return Choice(self._left[0], phrase("next of the list"), Standing(len(self._left)))
 
     def note(self, outcome: StepOutcome) -> None:

@@ -236,7 +236,8 @@ def _failed_steps(observations: Sequence[Observation]) -> Phrase | None:
 def unanswered(commands: Mapping[str, int]) -> Phrase:
     """Return a sentence: the machine did not echo its orders."""
     return phrase(
-        "{0} of {1} orders have no answer: a point on {2} must echo step and attempt of its order",
+        ("{0} of {1} orders were not answered: a point on {2} must echo the step and "
+        "attempt of its order"),
         commands["unanswered"], commands["received"], names.PROBE_POINT
     )  # fmt: skip
 

@@ -68,7 +68,7 @@ CAPTURED_OTHERWISE: Final = phrase(
     "the observations captured again differ from those captured live"
 )
 STRANGERS_PLANS: Final = noted(
-    "{0} plans on {1} belong to no run that the planner named: a stranger's, they were ignored"
+    "ignored {0} plans on {1} from another publisher: the planner announced no such run"
 )
 
 Source = Literal["streams", "observations"]
@@ -228,8 +228,7 @@ class Recording:
         if self.other_axes:
             texts.append(
                 phrase(
-                    "the cell announced what the controller of axis {0} holds: not "
-                    "counted for axis {1}",
+                    "the cell announced the table in force of axis {0}: ignored for axis {1}",
                     ", ".join(self.other_axes),
                     self.calibration.configuration.cell.axis,
                 )
@@ -370,8 +369,8 @@ def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
     })  # fmt: skip
     return [
         phrase(
-            "{0} messages on {1} came from a publisher that joined during the run; they "
-            "were ignored, and are kept in {2}",
+            "ignored {0} messages on {1} from a publisher that joined during the run; "
+            "they are kept in {2}",
             n,
             topic.rpartition("/")[2].removesuffix(ending),
             topic,
@@ -539,7 +538,7 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
     jumps = sorted(set(jumps), key=lambda jump: (not jump.named, jump.at_ns))
     texts = [jump.describe() for jump in jumps[:_SHOWN]]
     if len(jumps) > _SHOWN:
-        texts.append(phrase("the system clock jumped {0} times more", len(jumps) - _SHOWN))
+        texts.append(phrase("the system clock jumped {0} more times", len(jumps) - _SHOWN))
     if not (jumps and order.back):
         texts += order.describe()
     return tuple(texts)

@@ -97,8 +97,8 @@ class HeardJoints:
             return ""
         seen = "; ".join(", ".join(map(printable, order)) for order in self._orders)
         return phrase(
-            "{0}: its joints come in changing order ({1}), so the first one is not always the "
-            "table: name the table's joint (cell.joint)", self.topic, seen
+            "{0}: the order of its joints changes ({1}), so the first one is not always "
+            "the table: set cell.joint to the table's joint", self.topic, seen
         )  # fmt: skip
 
     def faults(self) -> Iterator[str]:
@@ -113,8 +113,8 @@ class HeardJoints:
             )
         elif not self._joint and len(names_heard) > 1:
             yield phrase(
-                "{0} has the joints {1}, and the first one, {2}, was taken for the table: if it "
-                "is another one, name it (cell.joint)", self.topic,
+                "{0} has the joints {1}; the first one, {2}, was taken as the table: if "
+                "it is another one, set cell.joint", self.topic,
                 ", ".join(map(printable, names_heard)), printable(chosen)
             )  # fmt: skip
 

@@ -111,8 +111,8 @@ def in_numbers(result: Result, counts: StepCounts | None, rejected_attempts: int
     if counts is None:
         return phrase("{0} observations, {1}", result.n_observations, rejected)
     return phrase(
-        "{0} steps planned or on offer, {1} used, {2} skipped, {3} retried, {4}, {5} during the "
-        "capture",
+        "{0} steps planned or offered, {1} used, {2} skipped, {3} retried, {4}, {5} "
+        "during the capture",
         counts.planned, counts.used, counts.skipped, counts.retried, rejected, rejected_attempts,
     )  # fmt: skip
 

@@ -357,4 +357,4 @@ def _is_locked(folder: SessionFolder) -> bool:
 
 
 def _how_to_go_on(folder: SessionFolder) -> str:
-    return f"go on with: {resume_command(folder.path)}"
+    return f"resume with: {resume_command(folder.path)}"

@@ -201,7 +201,7 @@ def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
         )
     if silence_s > load_scaled_timeout(SILENCE_TIMEOUT_S):
         raise DataError(
-            f"the client has been silent for {silence_s:.0f} s: it hangs; go on with --resume"
+            f"the client has been silent for {silence_s:.0f} s: it hangs; resume with --resume"
         )
 
 
@@ -225,7 +225,7 @@ def _fail(session: Session, outcome: Event) -> NoReturn:
     if outcome.get("bag_folder") or (bag.is_dir() and any(bag.iterdir())):
         text += f"; everything measured so far is in {outcome.get('bag_folder') or bag}"
         if session.resume_command not in text:  # the planner may have named it
-            text += f"; go on with: {session.resume_command}"
+            text += f"; resume with: {session.resume_command}"
     text += f"; logs: {session.log_folder}"
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)
 

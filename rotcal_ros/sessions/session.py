@@ -300,7 +300,7 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
             )
     except BagError as error:
         require_one_session(bag_files(bag))
-        say(f"nothing to go on from: {error}")
+        say(f"nothing to resume from: {error}")
         return ()
     if recording.session.missing:
         raise BagError(f"{'; '.join(recording.session.missing)}: put it back before you go on")

@@ -280,12 +280,12 @@ def _read_request(folder: Path) -> Request:
     except FileNotFoundError:
         raise ConfigurationError(
             f"{folder} holds no verification: its {REQUEST} is missing; begin one with 'rotcal "
-            "verify CONFIG', or go on with a single measurement: rotcal run --resume "
+            "verify CONFIG', or resume a single measurement: rotcal run --resume "
             f"{folder}"
         ) from None
     except (OSError, ValueError) as error:
         raise ConfigurationError(
-            f"{folder / REQUEST} is damaged: {cause_of(error)}; begin anew: rotcal verify CONFIG"
+            f"{folder / REQUEST} is damaged: {cause_of(error)}; start again: rotcal verify CONFIG"
         ) from error
 
 
@@ -379,7 +379,7 @@ def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
         for file, text in without_provenance(export.files).items():
             if (folder / file).is_file() and read_text(folder / file, "latin-1") != text:
                 raise DataError(
-                    f"{folder / file} was changed since it was written; restore it, or begin anew"
+                    f"{folder / file} was changed since it was written; restore it, or start again"
                 )
         there = {file: text for file, text in export.files.items() if (folder / file).exists()}
         rest = {file: text for file, text in export.files.items() if file not in there}

@@ -628,7 +628,7 @@ def test_where_nothing_checks_anything_the_verdict_is_not_ok():
     found = adjust(model)
     assert found.fit.dof == 0
     assert found.verdict == "suspect"
-    assert "nothing could contradict" in found.doubts[0]
+    assert "nothing checks the result" in found.doubts[0]
 
 
 def test_a_block_that_is_not_there_is_named_with_those_that_are():

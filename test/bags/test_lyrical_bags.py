@@ -48,9 +48,9 @@ def as_lyrical(source, target):
         for connection in taken:
             types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
             store.register({n: t for n, t in types.items() if n.startswith("rotcal_msgs/")})
-        made = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in taken}
+        written = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in taken}
         for connection, timestamp, data in reader.messages(taken):
-            writer.write(made[connection.id], timestamp, data)
+            writer.write(written[connection.id], timestamp, data)
     (file,) = target.glob("*.mcap")
     metadata = target / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace(file.name, lyrical_name(0)))

@@ -282,7 +282,7 @@ def test_too_few_readings_before_the_deadline():
     scene = make_scene(PLAN, 1)
     scene.edit("tracer", lambda _: None, 210 * MS, 900 * MS)
     assert reasons_of(scene) == [
-        "only 9 of 20 tracer readings in the 0.55 s that were left after settling"
+        "only 9 of 20 tracer readings in the 0.55 s remaining after settling"
     ]
 
 

@@ -51,7 +51,7 @@ def test_the_last_reading_may_be_at_the_deadline(settle_s, accepted):
         assert (found.window_start_ns, found.window_end_ns) == (731 * MS, 750 * MS)
     else:
         assert found.reason.startswith(
-            "only 19 of 20 tracer readings in the 0.019 s that were left after settling"
+            "only 19 of 20 tracer readings in the 0.019 s remaining after settling"
         )
 
 
@@ -63,7 +63,7 @@ def test_the_table_may_arrive_at_the_deadline_though_it_helps_nobody(timeout_s, 
     reason = observed(scene, replace(SETTINGS, step_timeout_s=timeout_s)).reason
     if at_rest:
         assert reason == (
-            "only 0 of 20 tracer readings in the 0 s that were left after settling; the next is "
+            "only 0 of 20 tracer readings in the 0 s remaining after settling; the next is "
             "stamped 0.001 s after settling (another clock?)"
         )
     else:
@@ -74,7 +74,7 @@ def test_readings_of_another_clock_are_told():
     scene = make_scene(PLAN, 1)
     scene.edit("tracer", lambda _: None, 200 * MS, 900 * MS)
     assert observed(scene).reason == (
-        "only 0 of 20 tracer readings in the 0.55 s that were left after settling; the next is "
+        "only 0 of 20 tracer readings in the 0.55 s remaining after settling; the next is "
         "stamped 0.7 s after settling (another clock?)"
     )
 
@@ -328,7 +328,7 @@ def test_no_numbers_in_the_feedback_are_counted_in_every_lot():
 @pytest.mark.parametrize(("attempts", "given_up"), [(64, 0), (65, 1), (66, 2)])
 def test_sixty_four_attempts_may_wait(attempts, given_up):
     _, reasons = fed(*(probe_sample(PLAN.steps[0], BEGIN + k, attempt=k) for k in range(attempts)))
-    assert reasons == ["undecided while 64 later attempts were begun"] * given_up
+    assert reasons == ["not decided before 64 later attempts started"] * given_up
 
 
 @pytest.mark.parametrize(("back_ns", "lost"), [(0, True), (1, True), (-1, False)])
@@ -345,7 +345,7 @@ def test_what_memory_has_let_go_is_told_to_the_nanosecond(back_ns, lost):
     (found,) = capture.feed(scene.probe[0])
     assert found.accepted is not lost
     if lost:
-        assert found.reason == "table feedback at the time of the points is not in memory"
+        assert found.reason == "table feedback from the time of the points has left memory"
 
 
 def test_streams_that_were_fed_late_are_read_to_the_end():

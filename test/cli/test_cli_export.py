@@ -163,7 +163,9 @@ def test_a_volumetric_table_says_which_table_was_in_force(export, tmp_path):
     data = json.loads(source.read_text()) | {"measured_on": "a" * 64}
     source.write_text(json.dumps(data))
     done = export("--to", "volumetric", source=source)
-    words = "measured on top of the table aaaaaaaaaaaa: the deviations are what it leaves"
+    words = (
+        "measured with table aaaaaaaaaaaa in force: the deviations are what it leaves uncorrected"
+    )
     assert words in done.stderr
     facts = json.loads((tmp_path / "files" / "c_volumetric.json").read_text())
     assert facts["measured_on"] == "a" * 64

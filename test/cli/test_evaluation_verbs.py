@@ -119,7 +119,7 @@ def test_polygon_is_taken_off(tmp_path, rng):
     [
         (lambda a, v: (a, v / 3600.0), "degrees taken for arcseconds"),
         (lambda a, v: (a, v / 60.0), "arcminutes taken for arcseconds"),
-        (lambda a, v: (a, -v), "its sign is turned"),
+        (lambda a, v: (a, -v), "its sign is reversed"),
         (lambda a, v: (a, -truth(-a)), "counted clockwise"),
     ],
 )

@@ -250,4 +250,4 @@ def test_curves_that_agree_are_under_no_suspicion():
             circle(size * np.sin(t), np.eye(24)), circle(-size * np.sin(t), np.eye(24))
         )
         assert found.agree == (size < 1.0)
-        assert ("its sign is turned" in " ".join(found.notes)) == (size > 1.0)
+        assert ("its sign is reversed" in " ".join(found.notes)) == (size > 1.0)

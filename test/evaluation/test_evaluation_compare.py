@@ -122,10 +122,10 @@ def test_an_arc_is_compared_where_both_were():
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda t: -truth(t), "its sign is turned"),
+        (lambda t: -truth(t), "its sign is reversed"),
         (lambda t: truth(t) / ARCSEC, "radians taken for arcseconds"),
         (lambda t: truth(t) / 3600.0, "degrees taken for arcseconds"),
-        (lambda t: -truth(t) * 4.848, "sign is turned .*; microradians and arcseconds"),
+        (lambda t: -truth(t) * 4.848, "sign is reversed .*; microradians and arcseconds"),
         (lambda t: -truth(-t), "counted clockwise"),
     ],
 )
@@ -137,7 +137,7 @@ def test_wrong_unit_or_sense_is_named(change, text):
 
 def test_without_uncertainties_nothing_is_claimed():
     result = compare(curve(12, 0.0), curve(12, 0.0, offset=1.0))
-    assert "E_n means nothing" in result.notes[0]
+    assert "E_n is meaningless" in result.notes[0]
     assert result.agree
     assert not compare(curve(12, 0.0), curve(12, 0.0, shape=lambda t: 2 * truth(t))).agree
 

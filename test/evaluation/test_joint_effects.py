@@ -238,9 +238,9 @@ def test_of_four_instruments_the_one_that_scatters_is_named_and_weighed():
     assert max(noise, key=noise.__getitem__) == "the lengths of tracer"
     assert noise["the lengths of tracer"] == pytest.approx(3.0, rel=0.2)
     together, alone = found.warnings
-    assert together.startswith("the scatter of the lengths of tracer is 3 times as stated")
+    assert together.startswith("the scatter of the lengths of tracer is 3 times the stated value")
     factor = re.fullmatch(
-        r"tracer is suspect \(the scatter of the lengths is (.*) times as stated.*", alone
+        r"tracer is suspect \(the scatter of the lengths is (.*) times the stated value.*", alone
     )
     assert float(factor[1]) == pytest.approx(3.0, rel=0.2)
     assert found.verdict == "suspect"

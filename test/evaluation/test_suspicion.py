@@ -31,7 +31,7 @@ def test_a_wrong_unit_is_named_whichever_curve_has_it(factor, text, offset):
 
 
 def test_a_turned_sign_is_named_and_a_wrong_unit_with_it():
-    start = "both curves have one shape, but for one of them its sign is turned"
+    start = "both curves have one shape, but for one of them its sign is reversed"
     assert suspected_cause(CURVE, -CURVE, None) == f"{start} (commanded - actual?)"
     assert suspected_cause(CURVE, -3600.0 * CURVE, None) == (
         f"{start} (commanded - actual?); degrees taken for arcseconds"

@@ -69,8 +69,8 @@ def test_what_is_asked_of_a_person_is_told_with_and_without_that_it_is_a_pause()
     )  # fmt: skip
     over = Reason.of(Why.RELEASED_AND_WORK, "the door was open", "put it there")
     assert over.instruction == (
-        "emergency stop: released, it was: the door was open; nothing moves before a person "
-        "resumes: make sure that the cell may move (put it there)"
+        "emergency stop released, cause: the door was open; nothing moves until a person "
+        "resumes: make sure that the cell is clear to move (put it there)"
     )
     assert Reason.of(Why.MEASURING, "target 3").instruction is None
 

@@ -35,7 +35,7 @@ def test_the_verdict_line_names_what_is_not_protected_in_the_fixed_order() -> No
     assert result(early, allowed).verdict_line == "ok"
     assert found.verdict_words == "ok"
     assert found.not_tested == "drift, gauge"
-    assert "Not tested for: drift and the like" in result().verdict_line
+    assert "Not tested for: drift and similar effects" in result().verdict_line
 
 
 def test_both_lines_come_apart_again() -> None:

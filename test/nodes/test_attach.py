@@ -159,7 +159,7 @@ def test_viewers_come_and_go_and_one_of_them_stops_it(tmp_path, terminal):
         shown.wait_for(f"--resume {folder}")
     assert [v.state for v in read_recording(folder / "bag").verdicts] == ["complete"]
     assert not address.parent.exists()
-    assert "it was interrupted; go on with" in rotcal("attach", folder, code=2).stderr
+    assert "it was interrupted; resume with" in rotcal("attach", folder, code=2).stderr
 
 
 @pytest.mark.long
@@ -209,4 +209,4 @@ def test_an_error_is_told_to_those_who_are_attached_with_its_exit_code(tmp_path,
     )
     for shown in (run, viewer):
         shown.wait_for("capture")
-        shown.wait_for("go on with: rotcal run")
+        shown.wait_for("resume with: rotcal run")

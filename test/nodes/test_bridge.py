@@ -197,7 +197,7 @@ def test_a_table_is_written_applied_on_confirmation_and_taken_back(bench):
     }
     rows = np.loadtxt(bench.controller / "c_linuxcnc.comp")
     np.testing.assert_allclose(rows[:-1, 1], -10 / 3600 * np.sin(rows[:-1, 0] * DEGREE), atol=2e-9)
-    bench.wait_for_state("applied, read back and equal")
+    bench.wait_for_state("applied and verified by reading it back")
 
     named = bench.restore("")
     assert (named.success, len(named.kept_hash)) == (False, 64)

@@ -90,7 +90,7 @@ def test_cancel_leaves_a_valid_bag_and_the_next_goal_is_taken(cell, calibrator):
         other.wait_until_ready(LIMIT_S)
         with pytest.raises(GoalRefusedError, match="the planner is calibrating: step"):
             other.start()
-        with pytest.raises(CalibratorError, match="nothing is waiting for resume"):
+        with pytest.raises(CalibratorError, match="nothing is waiting to be resumed"):
             other.resume()
     calibrator.cancel()
     outcome = calibrator.result(LIMIT_S)

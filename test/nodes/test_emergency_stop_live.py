@@ -99,7 +99,7 @@ def test_nothing_is_ordered_from_a_stop_to_resume_and_the_truth_is_found(stopped
     assert "not resumed: the emergency stop is on: /safety/estop is true" in refused["reason"]
 
     live.processes.tell("safety", "false")
-    assert is_waiting(client.wait_for("paused"), "emergency stop: released, it was: /safety/est")
+    assert is_waiting(client.wait_for("paused"), "emergency stop released, cause: /safety/est")
     live.processes.tell("client", "resume")
     assert client.wait_for("resumed")["success"]
 

@@ -106,7 +106,7 @@ def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     resume(live)  # while the first station is measured
     answer = client.wait_for("resumed")
     assert not answer["success"]
-    assert "nothing is waiting for resume: the planner is calibrating" in answer["reason"]
+    assert "nothing is waiting to be resumed: the planner is calibrating" in answer["reason"]
     assert paused(client).startswith("put the tracker at place 2")
     client.cancel()
     outcome = client.result()

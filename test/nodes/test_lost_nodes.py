@@ -65,7 +65,7 @@ def test_a_lost_node_ends_the_run_with_the_reason_and_a_slow_one_does_not(
     assert before
     if how == "starved" and not LONG:
         return  # the other case goes on
-    (command,) = re.findall(r"go on with: rotcal (run .*?);", text)
+    (command,) = re.findall(r"resume with: rotcal (run .*?);", text)
     again = warm.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", *command.split(), *quiet],
         timeout=load_scaled_timeout(120),

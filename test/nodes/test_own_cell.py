@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 OWN = Path(__file__).parents[2] / "examples" / "own_cell"
 SCRIPT = OWN / "own_cell.py"
 DEADLINE_S = 180.0
-BY_CHANCE = "look as if some of them were off together"
+BY_CHANCE = "appear to be off together"
 """What a few of 100 sound runs are suspected of: its noise goes by the clock."""
 
 

@@ -41,7 +41,7 @@ def test_every_node_may_stand_still_and_the_session_goes_on_and_ends_ok(cell):
     assert recording.same_as_recorded
     assert len({o.step for o in recording.observations if o.accepted}) == 59
     assert {o.run for o in recording.observations} == {0}  # no run was broken off
-    waited = re.findall(r"waiting for .*: slow, not lost; load .* it goes on", live.log("planner"))
+    waited = re.findall(r"waiting for .*: slow, not lost; load .* it resumes", live.log("planner"))
     assert len(waited) == 1, waited  # one line for all of it
     for name in (*SUITE, "simulated_cell"):
         assert "is lost" not in live.log(name), name

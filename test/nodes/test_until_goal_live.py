@@ -47,7 +47,7 @@ def test_a_killed_run_is_resumed_to_its_goal_and_the_bag_says_why(rotcal, tmp_pa
     by_run = {run: [c.choice for c in recording.choices if c.run == run] for run in (0, 1)}
     assert {choice.reason for choice in by_run[0]} == {"first sweep"}
     *on_the_way, last = by_run[1]
-    joined = "done step, measured again to join the runs"
+    joined = "completed step, measured again to join the runs"
     assert 1 <= sum(choice.reason == joined for choice in on_the_way) <= 8
     assert last.step is None
     assert last.reason.startswith("goal reached: U ")

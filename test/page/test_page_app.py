@@ -190,10 +190,13 @@ def test_a_request_that_is_no_confirmation_is_refused(client, guard, cellar):
 
 def test_a_refusal_of_the_cell_is_told_in_its_words(client, guard, cellar, monkeypatch):
     future = Future()
-    future.set_result(Answer(False, "nothing is waiting for resume"))
+    future.set_result(Answer(False, "nothing is waiting to be resumed"))
     monkeypatch.setattr(cellar, "resume", lambda _instruction: future)
     answer = client.post("/resume", json={"instruction": "x"}, headers=own(guard))
-    assert (answer.status_code, answer.json()["message"]) == (409, "nothing is waiting for resume")
+    assert (answer.status_code, answer.json()["message"]) == (
+        409,
+        "nothing is waiting to be resumed",
+    )
 
 
 def test_a_cell_that_never_answers_is_told(client, guard, cellar, monkeypatch):

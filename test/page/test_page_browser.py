@@ -174,7 +174,7 @@ def test_a_table_is_looked_at_and_confirmed_by_its_hash(bench, opened):
     page.get_by_role("button", name="Confirm the table …").click()
     page.get_by_label("The bridge’s secret").fill(SECRET)
     page.get_by_role("button", name="Feed to the controller").click()
-    expect(page.locator("#answer")).to_contain_text("read back and equal")
+    expect(page.locator("#answer")).to_contain_text("verified by reading it back")
     expect(page.locator("#now")).not_to_have_attribute("data-kind", "confirm")
     assert "c_linuxcnc.comp" in bench.files()
     assert page.locator("#secret").input_value() == ""

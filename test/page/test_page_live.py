@@ -78,7 +78,7 @@ def test_resume_is_refused_in_words_when_nothing_waits(cell):
     viewer.wait_for("ready")
     status, answer = viewer.post("resume", instruction="put it there")
     assert status == 409
-    assert "nothing is waiting for resume" in english(answer["message"])
+    assert "nothing is waiting to be resumed" in english(answer["message"])
 
 
 @pytest.mark.long
@@ -151,7 +151,7 @@ def test_a_table_is_drawn_and_applied_on_its_hash_with_the_secret(bench):
     assert bench.files() == set()
     status, answer = viewer.post("apply", confirmation=hash_, secret=SECRET)
     assert (status, answer["success"]) == (200, True)
-    assert "read back and equal" in english(answer["message"])
+    assert "verified by reading it back" in english(answer["message"])
     assert "c_linuxcnc.comp" in bench.files()
     viewer.wait(lambda s: s["offer"]["applied"] and s["now"]["kind"] != "confirm", "it is applied")
     assert SECRET not in bench.live.log("operator_page")

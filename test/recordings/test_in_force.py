@@ -108,9 +108,7 @@ def test_what_is_announced_of_another_axis_does_not_count(
     recording = announcing_bag(tmp_path / "bag", simulated_run, states, axes)
     result = recording.solve()
     assert result.measured_on == expected
-    assert any(
-        "the controller of axis B holds: not counted for axis C" in w for w in result.warnings
-    )
+    assert any("the table in force of axis B: ignored for axis C" in w for w in result.warnings)
 
 
 @pytest.mark.slow

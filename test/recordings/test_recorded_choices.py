@@ -86,7 +86,7 @@ def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
         posed.plan, posed.configuration.plan_id, 1, observed, max_attempts=GIVEN_UP, join_steps=8
     )
     more, further = run_of(posed, seen, rest)
-    assert more[0].choice.reason == "done step, measured again to join the runs"
+    assert more[0].choice.reason == "completed step, measured again to join the runs"
     assert more[-1].choice.step is None
     assert differences(posed, [*choices, *more], [*observed, *further]) == ()
 

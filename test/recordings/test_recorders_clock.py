@@ -33,4 +33,4 @@ def test_many_jumps_are_counted():
     many = scan(**{str(n): f"{SECOND} {NOON_NS + n * SECOND}" for n in range(9)})
     texts = clock_in_words([many], TimeOrder())
     assert len(texts) == 6
-    assert texts[-1] == "the system clock jumped 4 times more"
+    assert texts[-1] == "the system clock jumped 4 more times"

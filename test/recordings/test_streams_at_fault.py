@@ -38,10 +38,10 @@ FAULTS = {
         "left/table", lambda s: (["arm", "table"], [0.3, s.angle], [0.0, s.velocity]),
         "it has arm, table: name one of these (is it table?)",
     ),
-    "changing order": ("", in_turn, "its joints come in changing order"),
+    "changing order": ("", in_turn, "the order of its joints changes"),
     "several": (
         "", lambda s: (["arm", "table"], [0.3, s.angle], [0.0, s.velocity]),
-        "has the joints arm, table, and the first one, arm, was taken for the table",
+        "has the joints arm, table, ; the first one, arm, was taken as the table",
     ),
 }  # fmt: skip
 

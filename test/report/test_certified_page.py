@@ -27,7 +27,7 @@ COMMON = {
     "7.8.2.1 h": "2026-03-01",  # date of receipt
     "7.8.2.1 i": "2026-03-03 08:00 to 10:00 UTC",  # date of performance
     "7.8.2.1 j": "2026-03-04",  # date of issue
-    "7.8.2.1 k": "50 steps planned or on offer, 48 used, 2 skipped, 3 retried",  # sampling
+    "7.8.2.1 k": "50 steps planned or offered, 48 used, 2 skipped, 3 retried",  # sampling
     "7.8.2.1 l": "relate only to the item calibrated",
     "7.8.2.1 m": "ECC lies between −6.00 and 0.00 arcsec",  # results with units
     "7.8.2.1 n": "2 of 50 steps were skipped",  # deviations from the method

@@ -147,7 +147,7 @@ def test_an_ok_is_green_and_the_line_below_says_what_it_does_not_cover() -> None
 
 def test_a_method_that_states_nothing_is_told_from_one_that_is_protected() -> None:
     page = trusting()
-    assert "Not tested for: drift and the like" in page
+    assert "Not tested for: drift and similar effects" in page
     assert "does not state what it does about drift" in page
 
 

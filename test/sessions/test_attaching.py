@@ -158,7 +158,7 @@ def test_the_running_sessions_below_a_folder_are_found_and_killed_ones_told(sess
         killed.bind(str(stale))
     session.folder.socket_file.write_text(json.dumps({"socket": str(stale)}))
     assert running_sessions(tmp_path / "out") == []
-    with pytest.raises(ConfigurationError, match="was interrupted; go on with: rotcal run"):
+    with pytest.raises(ConfigurationError, match="was interrupted; resume with: rotcal run"):
         watch(session.folder)
 
 

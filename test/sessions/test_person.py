@@ -120,8 +120,8 @@ def test_a_terminal_that_has_ended_has_not_said_enter(enter, monkeypatch):
 
 
 def test_a_refused_resume_is_told_with_its_reason():
-    event = {"event": "resumed", "success": False, "reason": "nothing is waiting for resume"}
-    assert make().hear(event) == "nothing is waiting for resume"
+    event = {"event": "resumed", "success": False, "reason": "nothing is waiting to be resumed"}
+    assert make().hear(event) == "nothing is waiting to be resumed"
     assert make().hear({"event": "alive", "planner": "ready"}) is None
 
 

@@ -211,7 +211,7 @@ def test_the_error_that_ended_it_says_what_is_left_and_where_the_logs_are(
     with pytest.raises(kind) as raised:
         running.calibrate(session, Told())
     left = f"; everything measured so far is in {told_bag or folder.bag}"
-    go_on = "; go on with: rotcal run c.yaml --resume f"
+    go_on = "; resume with: rotcal run c.yaml --resume f"
     assert str(raised.value) == "it broke" + recorded * (left + go_on) + "; logs: /data/logs"
     outcome["error_msg"] = "it broke; continue with: rotcal run c.yaml --resume f"
     with pytest.raises(kind) as raised:

@@ -101,9 +101,7 @@ def states(
 def _arrivals(configuration: Configuration, found: Adjusted) -> Protection:
     settings: LevelPlanSettings = configuration.plan
     if settings.levels == len(settings.azimuths_deg):
-        return Protection(
-            "repeatability", "not protected", phrase("the table comes once to an angle")
-        )
+        return Protection("repeatability", "not protected", phrase("each angle is reached once"))
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
     return Protection(

@@ -184,9 +184,7 @@ def _unread() -> Iterator[Protection]:
 def _arrivals(found: Adjusted) -> Protection:
     settings = found.model.groupings[0].number
     if len(np.unique(settings[settings >= 0])) == 1:
-        return Protection(
-            "repeatability", "not protected", phrase("the table comes once to an angle")
-        )
+        return Protection("repeatability", "not protected", phrase("each angle is reached once"))
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
     return Protection(

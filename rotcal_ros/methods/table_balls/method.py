@@ -456,9 +456,7 @@ def _protections(
     if "lag" in balls.known:
         yield _lag(configuration, found)
     if configuration.plan.runs == 1:
-        yield Protection(
-            "repeatability", "not protected", phrase("the table comes once to an angle")
-        )
+        yield Protection("repeatability", "not protected", phrase("each angle is reached once"))
         return
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise

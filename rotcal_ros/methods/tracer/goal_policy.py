@@ -61,7 +61,7 @@ def _begun(experiment: LengthExperiment, goal: float, continuation: Continuation
     if continuation.run == 0 and continuation.start_index:
         raise PlanError(
             f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "
-            "order of its own; go on with 'rotcal run --resume'"
+            "order of its own; resume with 'rotcal run --resume'"
         )
     done = {o.step for o in continuation.observations}
     gone = {step.index for step in experiment.plan.steps} - done - set(continuation.steps)

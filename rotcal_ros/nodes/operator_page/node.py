@@ -278,7 +278,7 @@ class FollowedGoal:
         """Tell the planner that the work of this instruction is done, once."""
         asked = self.feedback
         if asked is None or not asked.instruction:
-            return Answer(False, phrase("nothing is waiting for resume"))
+            return Answer(False, phrase("nothing is waiting to be resumed"))
         if instruction != asked.instruction:
             return Answer(False, phrase("the instruction has changed: read the new one first"))
         if not self._resume.service_is_ready():

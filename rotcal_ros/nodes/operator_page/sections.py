@@ -137,7 +137,7 @@ def nodes(health: Health) -> tuple[ShownNode, ...]:
         level = SILENT if name in health.lost else beat.level
         words = phrase("silent") if level == SILENT else _words(health, name)
         if (seconds := health.slow.get(name)) is not None:
-            words = phrase("slow: no sign of life for {0} s; {1}", f"{seconds:.0f}", words)
+            words = phrase("slow: no heartbeat for {0} s; {1}", f"{seconds:.0f}", words)
             level = max(level, 1)
         found.append(ShownNode(name, words, level))
     return tuple(found)

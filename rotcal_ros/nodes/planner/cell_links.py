@@ -261,9 +261,9 @@ class CellLinks:
         beats = {name: self.health.values(name) for name in others}
         beats[self.node.get_name()] = self.node.accepted.values()
         return [
-            f"node {name} cannot hear or be heard yet on {apart}"
+            f"node {name} has no connection both ways yet on {apart}"
             if (apart := values.get(APART))
-            else f"node {name} has not been told which publishers count in this run"
+            else f"node {name} has not confirmed the publishers of this run"
             for name, values in beats.items()
             if values.get(HEARS) != digest(accepted)
         ] + self._missing_machines()
@@ -277,7 +277,7 @@ class CellLinks:
         """Return the orders that do not yet reach all machines that beat, in words."""
         publishers = {names.TABLE_ANGLE: self._tables, names.PROBE_TARGET: self._probes}
         return [
-            f"the planner cannot be heard yet by all nodes that obey {self.graph.resolve(topic)}"
+            f"the planner has not reached all nodes yet that obey {self.graph.resolve(topic)}"
             for topic, publisher in publishers.items()
             if publisher.get_subscription_count()
             < len(self.health.present().intersection(self.graph.listeners(topic)))
@@ -381,7 +381,7 @@ class Pauses:
     def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Go on after the work is done, unless something keeps the cell from it."""
         if not self.waiting:
-            response.message = f"nothing is waiting for resume: the planner is {self._busy()}"
+            response.message = f"nothing is waiting to be resumed: the planner is {self._busy()}"
             return response
         try:
             self._require_free()

@@ -156,7 +156,9 @@ class GoalRun:
         self._goes_on = self._goes_on or self.bag.folder is not None
         self.watch.progress.pause()
         self.watch.end_run(self.watch.required.restart_wait_s)
-        self.watch.links.node.get_logger().warning(f"{lost}: the goal waits for it and goes on")
+        self.watch.links.node.get_logger().warning(
+            f"{lost}: the goal waits for it, then continues"
+        )
 
     def values(self) -> dict[str, object]:
         """Return the values of the planner's beat that describe the goal."""
@@ -414,7 +416,7 @@ def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
 Plain = TypeVar("Plain", CalibrationGoal, CalibrationProgress)
 RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
-NO_ORDERS: Final = "the planner orders nothing; a recording goes on"
+NO_ORDERS: Final = "the planner commands no motion; a recording continues"
 RESTART_WAIT_S: Final = 20.0
 """A goal waits this long for a lost node to be restarted."""
 SAFETY, HEALTH = "safety", "health"

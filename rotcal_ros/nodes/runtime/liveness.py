@@ -106,7 +106,7 @@ class Overload:
         self._longest_s = max(self._longest_s, *slow.values())
         self._times += not was_waiting
         begins, self._last_s = self._last_s is None, now_s
-        return f"{self.text}; it goes on by itself" if begins else None
+        return f"{self.text}; it resumes by itself" if begins else None
 
     def _end(self) -> str:
         text = (
@@ -196,7 +196,7 @@ class SecondNodeError(ConfigurationError):
     def __init__(self, name: str, namespace: str, domain: str) -> None:
         super().__init__(
             f"node {name} already runs in {namespace} of ROS domain {domain or '0'}: this second "
-            f"one ends, the first goes on; {_HOW}"
+            f"one ends, the first continues; {_HOW}"
         )
 
 

@@ -41,7 +41,7 @@ function take(event) {
   alerts.announce(state.now);
   if (ended) {
     source.close();
-    banner(t("Switched off at {0}", clock(time_s)), t("This is the last state; nothing here is live any more."));
+    banner(t("Switched off at {0}", clock(time_s)), t("Final state: this page is no longer updated."));
     text("alive", t("Ended {0}", clock(time_s)));
     actions.disable(true);
   } else {
@@ -66,7 +66,7 @@ function watch() {
   text("alive", t("No contact"));
   document.title = `${t("No contact")} – rotcal`;
   banner(t("Connection lost at {0}", clock(heard / 1000, true)),
-    t("What you see below is old. The calibration may still be running; this page keeps trying to reconnect."));
+    t("The data below are out of date. The calibration may still be running; this page keeps trying to reconnect."));
   actions.disable(true);
   if (Date.now() - tried < SILENCE_MS) return; // an attempt gets the time to be answered
   if (source.readyState === EventSource.CLOSED || Date.now() - heard > 5 * SILENCE_MS) connect();

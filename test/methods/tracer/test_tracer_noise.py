@@ -134,7 +134,7 @@ def test_what_is_larger_than_stated_is_named_with_how_much(variant, truth, words
     text = next(w for w in result.warnings if w.startswith(words))
     found = float(text.removeprefix(words).split()[0])
     assert found == pytest.approx(factor, rel=0.25)
-    assert "times as stated: the estimate is used" in text
+    assert "times the stated value: the estimate is used" in text
     assert not result.rejected
 
 

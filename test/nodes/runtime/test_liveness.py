@@ -105,7 +105,7 @@ def test_an_overload_is_one_line_at_its_begin_and_one_at_its_end():
     assert len(lines) == 2
     assert lines[0] == (
         "waiting for capture (1.6 s), solver (2.0 s): slow, not lost; load 23.0 on 2 cores; it "
-        "goes on by itself"
+        "resumes by itself"
     )
     assert f"no node has been slow for {OVER_S:g} s: waited 60 times" in lines[1]
     assert "5.0 s" in lines[1]

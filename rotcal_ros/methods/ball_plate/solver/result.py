@@ -644,7 +644,8 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
             "gauge",
             "harmless",
             phrase(
-                "mean values, and what a shifted or tilted plate causes, are no part of the curves"
+                "mean values, and what a shifted or tilted plate causes, are not part of "
+                "the curves"
             ),
         )
     if len(solution.fitted.rows) < 1.4 * (int(solution.fitted.stop.max()) + 1):
@@ -652,6 +653,6 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
         yield Protection("repeatability", "estimated", why)
     else:
         why = phrase(
-            "not included: the table came to each position once, or too seldom to estimate it"
+            "not included: each position was reached once, or too few times to estimate it"
         )
         yield Protection("repeatability", "not protected", why)

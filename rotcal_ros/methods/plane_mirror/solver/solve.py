@@ -452,8 +452,8 @@ class MirrorSolution:
             "repeatability",
             "not protected",
             phrase(
-                "the table arrives once at each position: its scatter from arrival to "
-                "arrival is in the curve and not in the uncertainty"
+                "each position is reached once: the table's scatter between arrivals is "
+                "in the curve, not in the uncertainty"
             ),
         )
         yield Protection(

@@ -145,7 +145,7 @@ class UntilGoal:
         self._go_through(earlier, set(given_up))
         if self._next().step is not None:  # there is something to be joined
             joining = [
-                (step, phrase("done step, measured again to join the runs")) for step in again
+                (step, phrase("completed step, measured again to join the runs")) for step in again
             ]
             self._queue.extendleft(reversed(joining))
 
@@ -200,7 +200,12 @@ class UntilGoal:
             self._now = self._result = None
         elif step not in self._measured:
             self._beams.note_blocked(step)
-            self._replace(step, phrase("step {0} was given up: another target in its place", step))
+            self._replace(
+                step,
+                phrase(
+                    ("step {0} failed in every attempt: another target is measured instead"), step
+                ),
+            )
         self._plan()  # now, for choosing has to be quick
 
     def _plan(self) -> None:
@@ -255,7 +260,9 @@ class UntilGoal:
             worse = lacking or phrase(
                 "{0} > {1}", _arcsec(self._standing().uncertainty), _arcsec(goal)
             )
-            return phrase("no further step helps: {0}, {1}", worse, self._noise_and_doubt)
+            return phrase(
+                "no remaining step would reduce U: {0}, {1}", worse, self._noise_and_doubt
+            )
         self._doubted = self._doubted or len(more) >= MOST_AT_ONCE
         if (stop := self._beyond_reach()) is not None:
             return stop
@@ -333,7 +340,7 @@ class UntilGoal:
         if found is None or chance[found] <= chance[step]:
             return step, reason
         return found, phrase(
-            "the beam of step {0} is probably blocked: another target in its place", step
+            "the beam of step {0} is probably blocked: another target is measured instead", step
         )
 
     def _replace(self, step: int, why: Phrase) -> None:
@@ -550,8 +557,8 @@ class Suspects:
         others = sorted(here - self._steps)
         if others and place not in self._gone_over:
             self._gone_over.add(place)
-            return others, phrase("{0} once more: measured again with all of its station", why)
-        return [], phrase("{0} again and again: another target in its place", why)
+            return others, phrase("{0} again: its whole station is measured again", why)
+        return [], phrase("{0} repeatedly: another target is measured instead", why)
 
 
 @dataclass(frozen=True, slots=True)

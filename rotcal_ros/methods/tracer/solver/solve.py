@@ -478,8 +478,8 @@ def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
             "repeatability",
             "not protected",
             phrase(
-                "the table arrives once at a position: its scatter from arrival to arrival is in "
-                "the curve and not in the uncertainty"
+                "each position is reached once: the table's scatter between arrivals is "
+                "in the curve, not in the uncertainty"
             ),
         )
     noise = next(p.error for p in solution.found.protections() if p.effect == "axis noise")

@@ -216,7 +216,7 @@ def _protections(
             Protection(
                 "repeatability",
                 "not protected",
-                phrase("an angle that comes again has to agree, the others are reached once")
+                phrase("angles that are measured again have to agree; the others are reached once")
                 if closed
                 else phrase("no angle was reached twice"),
             ),

@@ -332,4 +332,4 @@ def test_as_listed_is_the_order_of_the_list():
         steps.append(choice.step)
         policy.note(StepOutcome(choice.step, None))
     assert steps == [4, 2, 7]
-    assert choice.reason == "all steps of the list are done"
+    assert choice.reason == "all planned steps are done"
