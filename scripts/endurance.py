@@ -195,10 +195,9 @@ def calibrated(method: str, name: str, generator: random.Random) -> dict[str, An
             while code not in (0, 1) and runs < 3 and folder.exists():
                 code, out = calm.run("--resume", str(folder))
                 runs += 1
-            left = session.left_behind() + calm.left_behind()
             found = {
                 "method": method, "trouble": name, **noted, "code": code, "runs": runs,
-                "seconds": round(time.monotonic() - begin), "left_behind": len(left),
+                "seconds": round(time.monotonic() - begin),
                 "resume_error": calm.noted.get("error", []),
                 "mb": {n: round(s[-1][1]) for n, s in session.nodes.memory.items()},
             }  # fmt: skip
@@ -216,6 +215,7 @@ def calibrated(method: str, name: str, generator: random.Random) -> dict[str, An
                 )  # fmt: skip
                 found["in_history"] = added.returncode == 0
                 found |= {} if found["in_history"] else {"history_says": added.stderr[-200:]}
+        found["left_behind"] = len(session.left_behind() + calm.left_behind())
     return found
 
 

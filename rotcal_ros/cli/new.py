@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import NamedFile
+from rotcal_ros.cli.console import NamedFile, path_type
 from rotcal_ros.cli.options import installed, set_option
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalError
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
+@click.argument("table", type=path_type, required=False, metavar="[TABLE]")
 @click.option("--method", shell_complete=installed(plugins.METHODS), help="How it is measured.")
 @click.option(
     "--positions",
@@ -38,10 +39,16 @@ if TYPE_CHECKING:
     help="The file to write.",
 )
 def command(
-    method: str | None, positions: int | None, changes: tuple[str, ...], yes: bool, output: Path
+    table: Path | None,
+    method: str | None,
+    positions: int | None,
+    changes: tuple[str, ...],
+    yes: bool,
+    output: Path,
 ) -> int:
     """Write a set-up for measurements of your own, and say what comes next.
 
+    The columns of TABLE say how it was measured, where they fit one method alone.
     What is not given here is asked for; Enter takes the value in brackets. The file has a comment
     on every line and is read back as every verb reads it. Nothing is overwritten. It has no group
     'simulation', so that what is solved with it counts as measured.
@@ -52,6 +59,8 @@ def command(
 
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
+    if method is None and table is not None:
+        method = _method_of(table)
     if method is None:
         kinds = click.Choice(method_names())
         method = DEFAULT if yes else click.prompt("method", type=kinds, default=DEFAULT, err=True)
@@ -70,8 +79,22 @@ def command(
         say("it cannot be used yet: change it there")
         raise
     say("next, with the table of your measurements:")
-    tell(f"rotcal solve measurements.csv --setup {shlex.quote(str(output))}")
+    solved = shlex.quote(str(table or "measurements.csv"))
+    tell(f"rotcal solve {solved} --setup {shlex.quote(str(output))}")
     return 0
+
+
+def _method_of(table: Path) -> str:
+    """Return the only method whose columns a table has; ConfigurationError for several or none."""
+    from rotcal_ros.methods.fitting import fitting_methods
+
+    found = fitting_methods(table)
+    if len(found) == 1:
+        return found[0].name
+    ways = " or ".join(f"--method {each.name} ({each.title})" for each in found)
+    raise ConfigurationError(
+        f"{table}: how it was measured its columns do not say: state it by {ways or '--method'}"
+    )
 
 
 def _ask(method: str, known: Known, values: dict[str, Any]) -> None:

@@ -22,15 +22,13 @@ from rotcal_ros.cli.console import (
 from rotcal_ros.cli.options import configurations, installed, language_option, reference_option
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import SIMULATED
-from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.foundation.gum_numbers import value
 from rotcal_ros.foundation.language import use_language
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.console import say, tell, understood
 
 if TYPE_CHECKING:
-    from rotcal_ros.evaluation.verification import Positioning, Verification
+    from rotcal_ros.evaluation.verification import Verification
     from rotcal_ros.recordings.result_sources import ResultSource
 
 
@@ -239,6 +237,10 @@ def _print_side_by_side(verification: Verification) -> None:
           for name, run in (("before", before), ("after", after))),
     ])  # fmt: skip
     _print(verification, print_words)
+    if not (verification.shared and verification.stated):
+        print_words(
+            "to state: --shared-u ARCSEC, an error of both; --table FOLDER, what was loaded"
+        )
 
 
 def _loaded(folder: Path, files: Sequence[Path]) -> bool:
@@ -290,7 +292,6 @@ def _verify(folder: Path, as_json: bool) -> int:
 
 def _print(verification: Verification, write: Callable[..., None] = tell) -> None:
     """Print figures, verdict and what is not covered, by what ``write`` does with lines."""
-    before, after = verification.before, verification.after
     figures = (("accuracy", "A"), ("systematic", "E"), ("repeatability", "R"))
     for name, letter in figures if verification.iso else ():
         first, second = (getattr(verification.iso[w], name) for w in ("before", "after"))
@@ -308,14 +309,7 @@ def _print(verification: Verification, write: Callable[..., None] = tell) -> Non
     mark = f" ({SIMULATED})" if verification.simulated else ""
     print_verdict(
         f"{verification.verdict}{mark}",
-        f"measured E {_measured(before)} arcsec before, {_measured(after)} after compensation, "
-        f"{verification.ratio:.0f} times smaller",
+        verification.figures,
         write,
     )
     write(*verification.reserves)
-
-
-def _measured(run: Positioning) -> str:
-    """Return the range E of what was measured, arcsec, to the digits of its uncertainty."""
-    expanded = COVERAGE_FACTOR * float(run.std.max()) / ARCSEC
-    return value(run.systematic / ARCSEC, expanded).lstrip("+")

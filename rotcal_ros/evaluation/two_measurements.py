@@ -186,8 +186,7 @@ def _notes(
     else:
         yield phrase(
             "an instrument that measured both times has the same error of calibration in both: "
-            "it stands in the table, and nothing shows it; state it, for less may be left then "
-            "(--shared-u)"
+            "it stands in the table, and nothing shows it; state it, for less may be left then"
         )
 
 
@@ -200,7 +199,7 @@ def _about_table(
     if held is None:
         yield phrase(
             "the table is taken for that of the first measurement, and exact: what its rows and "
-            "digits leave over is stated by its files (--table)"
+            "digits leave over is stated by its files"
         )
         return
     ways = [held.correction(first.angles, way) for way in DIRECTIONS]

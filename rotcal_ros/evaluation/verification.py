@@ -11,7 +11,9 @@ import numpy as np
 from rotcal_ros.compensation.held_table import CorrectionEffect
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.foundation.arrays import Floats, std_of
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.gum_numbers import value
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import split_verdict_line
 from rotcal_ros.foundation.results import Result, Verdict
@@ -89,6 +91,19 @@ class Verification:
     def ratio(self) -> float:
         """How many times smaller E is after the compensation."""
         return self.before.systematic / max(self.after.systematic, 1e-15)
+
+    @property
+    def figures(self) -> Phrase:
+        """Return E before and after, in words, to the digits of their uncertainties."""
+        found = (
+            value(run.systematic / ARCSEC, COVERAGE_FACTOR * float(run.std.max()) / ARCSEC)
+            for run in (self.before, self.after)
+        )
+        return phrase(
+            "measured E {0} arcsec before, {1} after compensation, {2:.0f} times smaller",
+            *(text.lstrip("+") for text in found),
+            self.ratio,
+        )
 
     @property
     def expected(self) -> float:

@@ -77,6 +77,19 @@ def test_a_plain_table_is_solved_with_it_and_counts_as_measured(here):
     assert apart.max() < 0.5 * known.std["ECC"].max()  # of one the error motion is estimated
 
 
+def test_the_columns_of_a_table_say_the_method_where_one_alone_fits(here):
+    (here / "runs.csv").write_text("position,setting,reading_rad\n0,0,1e-6\n1,0,2e-6\n")
+    done = run("runs.csv", "--positions=12", "--yes", "-o", "own.yaml")
+    assert done.exit_code == 0, done.output
+    assert yaml.safe_load(Path("own.yaml").read_text())["method"] == "angle_comparison"
+    assert "rotcal solve runs.csv --setup own.yaml" in done.stdout
+    (here / "open.csv").write_text("a,b\n1,2\n")
+    asked = run("open.csv", "--yes", "-o", "other.yaml")
+    assert asked.exit_code == 2
+    assert "state it by --method" in asked.stderr
+    assert not Path("other.yaml").exists()
+
+
 def test_what_is_not_given_is_asked_for_until_it_can_be(here):
     answers = ["", "x", "18", "", "", "", "", "", "3e-8", "", "my table", "4711", "hall", "A. B."]
     done = run("--method=tracer_multistation", answers="\n".join([*answers, "2026-03-31", ""]))

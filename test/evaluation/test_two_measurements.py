@@ -84,7 +84,7 @@ def test_an_error_that_both_share_cancels_and_less_may_be_left():
     assert found.expected / ARCSEC == pytest.approx(4.0 * 0.1 * np.sqrt(2.0), rel=1e-9)
     assert found.to_dict()["shared_std_arcsec"] == pytest.approx(5.0)
     assert any("it cancels here" in code for code in codes(found))
-    assert any("(--shared-u)" in code for code in codes(judged(first, good)))
+    assert any("state it, for less may be left" in code for code in codes(judged(first, good)))
     with pytest.raises(DataError, match="nothing says how much may be left"):
         judged(first, good, shared=whole * ARCSEC)
 

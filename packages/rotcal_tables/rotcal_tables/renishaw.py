@@ -2,8 +2,9 @@
 
 Sections begin with a name and ``::``. ``Targets :`` lists the targets over several lines up to
 ``Flags:``; below ``Run Target Data:`` each line has a run, the number of a target from 1, and a
-deviation. No unit stands in the file, so it is asked; the order of the targets in a run is its
-direction. docs/deviations.md says what this was looked up in.
+deviation. No unit stands in the file, so it is asked: a public program takes deviations of a
+rotary axis for milliradians. The order of the targets in a run is its direction.
+docs/deviations.md says what this was looked up in.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from rotcal_ros.cli.console import in_lines
 from rotcal_ros.compensation.agreement import UNVERIFIED
 from rotcal_ros.compensation.request import ExportRequest, write_export
 from rotcal_ros.evaluation.marks import marks, why_withheld
+from rotcal_ros.evaluation.two_measurements import verification_of
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import Question, RotcalError, UndecidedError
@@ -28,7 +29,7 @@ from rotcal_ros.foundation.language import Phrase, phrase, use_language
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.table_columns import UNITS, TableColumn, unit_setting
 from rotcal_ros.foundation.table_reading import Reading, Use
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.methods.configuration import (
     Configuration,
@@ -55,8 +56,10 @@ from rotcal_ros.report.page import write_measured
 from rotcal_ros.report.printing import printed
 from rotcal_tables.sheets.words import TABLE_ANGLE
 
-TABLE, TARGETS, SETUP, IN_FORCE = "table", "targets", "setup", "in_force"
-PLACES: Final = {TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml"}
+TABLE, TARGETS, SETUP, AFTER, IN_FORCE = "table", "targets", "setup", "after", "in_force"
+PLACES: Final = {
+    TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml", AFTER: "after.txt",
+}  # fmt: skip
 """What was dropped -> its place in the folder; targets are found beside the table."""
 RESULT, OWN_SETUP, REPORT, PDF, DCC = (
     "result.json", "setup.yaml", "report.html", "report.pdf", "certificate.xml",
@@ -123,11 +126,11 @@ class Asked:
         values = values_of_tables(self.method) | dict(given)
         return parse_configuration(setup_text(self.method, known, values), OWN_SETUP)
 
-    def read(self, announce: Callable[[Reading], object] = str) -> Measurements:
+    def read(self, announce: Callable[[Reading], object] = str, role: str = TABLE) -> Measurements:
         """Return what was measured, with the names that people know."""
         configuration = self.configuration()
         targets = self.folder / PLACES[TARGETS] if TARGETS in self.names else None
-        measured = read_measurements(self.folder / PLACES[TABLE], configuration, targets, announce)
+        measured = read_measurements(self.folder / PLACES[role], configuration, targets, announce)
         known = {self.describe(name): digest for name, digest in measured.sha256.items()}
         assert is_dataclass(measured)
         return replace(measured, sha256=known)
@@ -315,6 +318,27 @@ def shown(result: Result) -> Deviations:
     )
 
 
+def verified(asked: Asked) -> Reply:
+    """Judge the measurement by a second one, made with the table in force.
+
+    The option ``stated`` holds changes for the second table alone.
+    """
+    own = replace(asked, changes=(*asked.changes, *map(str, asked.options["stated"])))
+    results = {
+        f"1 ({asked.names[TABLE]})": read_source(asked.folder / RESULT).result,
+        f"2 ({asked.names[AFTER]})": own.read(role=AFTER).solve(),
+    }
+    found = verification_of(results)
+    before, after = found.before, found.after
+    columns = before.angles / DEGREE, before.deviation / ARCSEC, after.deviation / ARCSEC
+    acts = [] if found.effect is None else [found.fault or found.effect.describe()]
+    return {
+        "verdict": found.verdict,
+        "words": plain((*acts, found.figures, *found.reserves)),
+        "rows": [[f"{a:g}", f"{b:.2f}", f"{c:.2f}"] for a, b, c in zip(*columns, strict=True)],
+    }
+
+
 def reported(asked: Asked) -> Reply:
     """Write the report."""
     with use_language(str(asked.options["language"])):
@@ -363,6 +387,7 @@ WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
     "fit": fitted,
     "explain": explained,
     "solve": solved,
+    "verify": verified,
     "report": reported,
     "pdf": as_pdf,
     "dcc": certified,

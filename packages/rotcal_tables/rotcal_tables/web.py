@@ -48,6 +48,7 @@ from rotcal_ros.page.settings import LOOPBACK
 from rotcal_ros.page.state import plain
 from rotcal_tables import table_work
 from rotcal_tables.table_work import (
+    AFTER,
     IN_FORCE,
     PLACES,
     REPORT,
@@ -148,7 +149,7 @@ class Desk:
         if role in PLACES:
             (self._folder / PLACES[role]).unlink(missing_ok=True)
             self._names.pop(role, None)
-            self._files.clear()
+            self._outdated(role)
         else:
             shutil.rmtree(self._folder / IN_FORCE, ignore_errors=True)
 
@@ -171,6 +172,11 @@ class Desk:
             part.unlink(missing_ok=True)  # what was cut off
         if role in PLACES:
             self._names[role] = printable(name)[:LONGEST_NAME]
+            self._outdated(role)
+
+    def _outdated(self, role: str) -> None:
+        """Offer nothing more of what was made without this file; a second table makes nothing."""
+        if role != AFTER:
             self._files.clear()
 
     async def work(self, request: Request) -> Response:
@@ -178,7 +184,7 @@ class Desk:
         what, options = request.path_params["what"], await json_of(request, MOST_ASKED)
         if what not in WORK or not options:
             raise ConfigurationError(f"cannot do {what!r:.80} with what was sent")
-        if TABLE not in self._names:
+        if TABLE not in self._names or (what == "verify" and AFTER not in self._names):
             raise ConfigurationError("there is no table yet: drop one on the page")
         changes = tuple(map(str, options.get("changes", ())))
         method = str(options.get("method", ""))

@@ -40,6 +40,8 @@ def test_runs_of_a_laser_are_read_with_their_directions_and_units_are_asked(tmp_
     asked = CliRunner().invoke(rotcal, ["solve", str(path)])
     assert asked.exit_code == 2
     assert "states no unit" in asked.stderr
+    stated = ["solve", str(path), "--set", "sheet.angle_unit=deg"]
+    assert "sheet.reading_unit=mrad" in CliRunner().invoke(rotcal, stated).stderr
     both = solved(path).directions["ECC"]
     assert both.angles / DEGREE == pytest.approx([0.0, 120.0, 240.0])
     assert both.forward / ARCSEC == pytest.approx([0.2, 3.3, -1.3])

@@ -7,6 +7,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, Undecided
 from rotcal_ros.foundation.table_columns import SheetSettings
 from rotcal_ros.foundation.table_forms import remember, remembered
 from rotcal_ros.foundation.table_reading import Known
+from rotcal_ros.methods.fitting import fitting_methods
 from rotcal_tables import dmis
 from rotcal_tables.sheets.reading import READER
 
@@ -98,3 +99,11 @@ def test_what_dmis_leaves_open_is_refused():
     with pytest.raises(BagError, match="the place of Esfera_10 is not Cartesian"):
         dmis.read(sample.replace("CART", "POL"))
     assert dmis.read(sample.replace("3,27.5", "3.5,27.5"))[1][3] == "3.5"
+
+
+def test_names_are_asked_of_methods_alone_whose_values_stand_beside_them(tmp_path):
+    rows = "".join(f"P{p}_B{b},{p}.1,{b}.2,3.0\n" for p in range(4) for b in range(3))
+    (path := tmp_path / "t.csv").write_text("Name,X [mm],Y [mm],Z [mm]\n" + rows)
+    fitting = {method.name for method in fitting_methods(path)}
+    assert {"table_balls", "ball_plate"} <= fitting
+    assert fitting.isdisjoint({"angle_comparison", "deviations"})

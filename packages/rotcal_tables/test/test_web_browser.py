@@ -1,6 +1,7 @@
 """``rotcal web`` in Chromium: a table is dropped, understood, corrected, solved; for everybody."""
 
 import base64
+import math
 import re
 from contextlib import contextmanager
 from pathlib import Path
@@ -143,6 +144,42 @@ def test_deviations_become_a_controller_s_file_and_a_report(opened):
     expect(report.value.locator("h1")).to_be_visible(timeout=PATIENCE_MS)
     assert "Deviations that are known already" in report.value.locator("body").inner_text()
     require_accessible(page)
+
+
+def rows_of(amplitude):
+    """Return 12 angles and deviations, as a table whose names leave nothing open."""
+    angles = [30 * n for n in range(12)]
+    values = [amplitude * math.sin(math.radians(a)) + 0.05 * (-1) ** (a // 30) for a in angles]
+    lines = (f"{a},{v:.3f}" for a, v in zip(angles, values, strict=True))
+    return ("angle_deg,deviation_arcsec\n" + "\n".join(lines)).encode()
+
+
+def test_a_second_table_says_whether_the_compensation_acts(opened, tmp_path):
+    page = opened(locale="en-GB", viewport={"width": 1280, "height": 1500})
+    drop(page, "before.csv", rows_of(20.0))
+    expect(page.locator("#method")).to_have_value("deviations", timeout=PATIENCE_MS)
+    page.locator("[id='set.solver.u_arcsec']").fill("0.3")
+    solve(page)
+    outcome = page.locator("#after_outcome")
+    for amplitude, cause in ((0.0, "it acts"), (20.0, "inactive"), (40.0, "adds what it should")):
+        page.set_input_files("#after", {
+            "name": "after.csv", "mimeType": "text/csv", "buffer": rows_of(amplitude),
+        })  # fmt: skip
+        row = outcome.locator("tbody tr").nth(3)
+        left = f"{amplitude - 0.05:.2f}"
+        expect(row.locator("td").nth(2)).to_have_text(left, timeout=PATIENCE_MS)
+        assert row.locator("td").all_inner_texts() == ["90", "19.95", left]
+        assert cause in outcome.locator("li").first.inner_text()
+        acts = outcome.locator(".mark").inner_text() == "The table acts"
+        assert acts == (amplitude == 0.0)
+    page.set_input_files("#after", {
+        "name": "again.csv", "mimeType": "text/csv",
+        "buffer": rows_of(0.0).replace(b"deviation_arcsec", b"error [arcsec]"),
+    })  # fmt: skip
+    page.locator("#after_error").get_by_role("button", name=re.compile("too far")).click()
+    expect(outcome).to_contain_text("The table acts", timeout=PATIENCE_MS)
+    require_accessible(page)
+    assert page.request.get(f"{page.url}made/result.json").ok
 
 
 def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):

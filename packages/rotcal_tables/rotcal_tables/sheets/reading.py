@@ -82,7 +82,7 @@ from rotcal_tables.sheets.words import (
 
 _OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
 """Columns as messages call them."""
-_SMALL: Final = ("arcsec", "urad", "deg")
+_SMALL: Final = ("arcsec", "urad", "mrad", "deg")
 _NO_ANGLE: Final = 400
 """More in a column of angles are hardly degrees or gons of a turn, and may be counts."""
 _USUAL: Final = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
@@ -134,7 +134,7 @@ class AnyForm:
         require_named(path, headers, named, layout.head if layout else likely_head(found))
         if layout is None or layout.missing:
             asked = None if settings.names else names_in_question(str(path), raw, headers)
-            if asked:
+            if asked and _is_whole_by_names(asked, raw, headers, named):
                 raise asked
             raise not_understood(path, headers, layout, found, named)
         require_as_wide_as_its_head(path, layout)
@@ -718,6 +718,21 @@ class _Rows:
         above = self._layout.length_unit if quantity == LENGTH and not use.units else ""
         setting = unit_setting(name, quantity).removeprefix("sheet.")
         return str(getattr(self._settings, setting) or above)
+
+
+def _is_whole_by_names(
+    asked: UndecidedError,
+    raw: Sequence[Sheet],
+    headers: Sequence[Header],
+    named: Mapping[str, str],
+) -> bool:
+    """Return whether all columns are there, once an answer takes the names of points apart."""
+    pattern = asked.question.answers[0][0] if asked.question else ""
+    try:
+        layout = best_layout([with_names_apart(s, pattern) for s in raw], headers, named, "")
+    except DataError:  # another question comes first
+        return True
+    return layout is not None and not layout.missing
 
 
 def _as_read(cell: Cell | None, mark: str) -> str:

@@ -6,6 +6,7 @@ import { dropped, dropping, files } from "./web_files.js";
 import { form, oneInstrument, select } from "./web_form.js";
 import { readingFields, soon, understand } from "./web_reading.js";
 import { solve } from "./web_result.js";
+import { measuredAgain, nothingVerified } from "./web_verify.js";
 import { offerLanguages, say, t, translatePage } from "./words.js";
 
 translatePage();
@@ -25,7 +26,8 @@ by("method").addEventListener("change", async () => { await form(); understand()
 by("form").addEventListener("submit", (event) => event.preventDefault());
 by("form").addEventListener("change", ({ target }) => { if (target.dataset.name) soon(); });
 by("instrument").addEventListener("change", oneInstrument);
-by("solve").addEventListener("click", () => { nothingWritten(); nothingAccepted(); solve(); });
+by("solve").addEventListener("click", () => { nothingWritten(); nothingAccepted(); nothingVerified(); solve(); });
+by("after").addEventListener("change", measuredAgain);
 by("controller_form").addEventListener("submit", writeFiles);
 by("controller_form").addEventListener("change", controllerChanged);
 for (const name of ["dragover", "dragleave", "drop"]) document.addEventListener(name, dropping);

@@ -101,7 +101,7 @@ function leftOut(rows) {
   more.append(element("summary", rows.length === 1 ? t("1 row left out") : t("{0} rows left out", rows.length)), list);
   return more;
 }
-function grid(caption, head, rows, numbers = false) {
+export function grid(caption, head, rows, numbers = false) {
   const kind = numbers ? "number" : "";
   const box = element("div", "", numbers ? "sheet numbers" : "sheet"), made = element("table"), top = element("tr"), body = element("tbody"), above = element("thead");
   box.tabIndex = 0;
