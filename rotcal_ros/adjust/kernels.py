@@ -524,8 +524,8 @@ class Updated(Kernel):
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         share, found = self.share[rows], self.base.among_each(rows)
         if not found.strides[0] and (share == share[0]).all():  # all are alike
-            one = found[0] * share[0, :, None] * share[0]
-            found = np.broadcast_to(one, found.shape)
+            alike = found[0] * share[0, :, None] * share[0]
+            found = np.broadcast_to(alike, found.shape)
         else:
             found = found * share[:, :, None] * share[:, None]
         if self.columns.shape[1]:
