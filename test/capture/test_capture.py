@@ -264,7 +264,7 @@ def test_a_window_that_memory_has_let_go_is_rejected(monkeypatch):
     scene = make_scene(PLAN, 5)
     found = replay(PLAN, [*scene.tracer, *scene.table, *scene.temperature, *scene.probe])
     assert [o.accepted for o in found] == [False, False, False, True, True]
-    assert "no longer in memory" in found[0].reason
+    assert "have left memory" in found[0].reason
 
 
 def test_settling_that_leaves_no_time_is_a_wrong_configuration():

@@ -220,7 +220,7 @@ def test_another_clock_never_gives_an_observation(name, shift_s):
     found = replay(PLAN, [by_old.get(id(r), r) for r in records], IMPATIENT)
     assert found
     assert not any(o.accepted for o in found)
-    assert all("clock" in o.reason or "no longer in memory" in o.reason for o in found)
+    assert all("clock" in o.reason or "have left memory" in o.reason for o in found)
 
 
 def test_a_temperature_that_never_comes_is_told():

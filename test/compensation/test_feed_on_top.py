@@ -62,7 +62,7 @@ def test_what_was_measured_on_another_table_is_refused(cell):
     applied(feed, table_of())
     old = feed.in_force()
     applied(feed, table_of(1.5))
-    with pytest.raises(DataError, match="not added: measured on top of the table"):
+    with pytest.raises(DataError, match="not added: measured with table"):
         feed.take(table_of(0.1, measured_on=old), 2)
     undone(feed)
     feed.take(table_of(0.1, measured_on=old), feed._now_ns())

@@ -35,7 +35,7 @@ def test_the_cell_hears_what_is_in_force_and_what_it_leaves_is_added(bench):
     first = np.loadtxt(bench.controller / "c_linuxcnc.comp")[:, 1]
 
     bench.publish(replace(table(0.1), measured_on="f" * 64))
-    bench.wait_for_state("not added: measured on top of the table ffffffffffff")
+    bench.wait_for_state("not added: measured with table ffffffffffff in force")
     bench.publish(replace(table(0.1), measured_on=heard[-1]))
     status = bench.wait_for_state("written, not applied")
     assert status["in_force"].startswith(f"adds to the table {heard[-1]}")

@@ -87,7 +87,7 @@ def test_the_secret_is_in_no_bag(bench):
         parts += [attachment.data for attachment in reader.iter_attachments()]
     everything = b"".join(parts)
     assert str(bench.secret_file).encode() in everything  # the configuration is there
-    assert b"restored, read back" in everything
+    assert b"restored and verified by reading it back" in everything
     assert SECRET.encode() not in everything
 
 

@@ -88,7 +88,7 @@ def test_nothing_is_ordered_from_a_stop_to_resume_and_the_truth_is_found(stopped
     live.processes.tell("safety", "true")
     waiting = client.wait_for("paused")
     assert waiting["instruction"].startswith("emergency stop: /safety/estop is true; ")
-    assert "the recording goes on" in waiting["instruction"]
+    assert "recording continues" in waiting["instruction"]
     live.wait_for_log(
         "simulated_cell", "emergency stop: /safety/estop is true; the machine stands"
     )
@@ -105,7 +105,7 @@ def test_nothing_is_ordered_from_a_stop_to_resume_and_the_truth_is_found(stopped
 
     client.wait_for_step(10)
     live.processes.tell("safety", "error ok")  # however short it is, somebody has to resume
-    waiting = client.wait_for("paused", where=lambda e: is_waiting(e, "emergency stop: released"))
+    waiting = client.wait_for("paused", where=lambda e: is_waiting(e, "emergency stop released"))
     assert "plc: drive is in ERROR on /diagnostics (I2t)" in waiting["instruction"]
     live.processes.tell("client", "resume")
     assert client.wait_for("resumed")["success"]

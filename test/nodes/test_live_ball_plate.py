@@ -63,7 +63,7 @@ def test_who_joins_a_run_is_named_and_left_alone_live_and_in_the_bag(plate_cell)
     known = json.loads(text)["warnings"]
     assert replace(again, warnings=tuple(known)).to_json() == text
     further = " ".join(set(again.warnings) - set(known))
-    assert "messages on probe_point came from a publisher that joined during the run" in further
+    assert "messages on probe_point from a publisher that joined during the run" in further
     result = Result.from_dict(json.loads(text))
     calibration = prepare(read_configuration(live.file))
     settings = calibration.configuration.simulation

@@ -41,7 +41,7 @@ FAULTS = {
     "changing order": ("", in_turn, "the order of its joints changes"),
     "several": (
         "", lambda s: (["arm", "table"], [0.3, s.angle], [0.0, s.velocity]),
-        "has the joints arm, table, ; the first one, arm, was taken as the table",
+        "has the joints arm, table; the first one, arm, was taken as the table",
     ),
 }  # fmt: skip
 

@@ -120,7 +120,7 @@ def test_a_latched_message_waits_for_the_activation_and_others_do_not(node):
     node.news.publish(String(data="old news"))
     for _ in range(100):
         executor.spin_once(timeout_sec=0.05)
-        if node._latched and node._left_alone:
+        if node._latched and node._ignored_topics:
             break
     assert node.heard == []
     node.trigger_activate()
