@@ -178,7 +178,7 @@ def test_a_target_that_stays_suspect_gives_way_to_another(of):
     suspects = [choice for choice in made if "suspect" in choice.reason]
     assert suspects[0].step == wrong
     *others, last = suspects[1:]
-    assert all("with all of its station" in choice.reason for choice in others)
+    assert all("its whole station" in choice.reason for choice in others)
     assert "another target" in last.reason
     assert last.step not in {wrong, *(choice.step for choice in others)}
     assert {of.position[choice.step] for choice in suspects} == {of.position[wrong]}
