@@ -112,10 +112,6 @@ class LengthProblem:
     ``slip``: a fringe (m) by which the counter may slip unseen where lengths share zeros, allowed
     for in the uncertainty; 0: it does not slip.
 
-    ``speed`` (k,), optional: rad/s, at which the table turned when each length was read, negative
-    back; each position is then passed at one speed. Its feedback is late by ``lag`` +-
-    ``lag_std`` (s); None: not stated (:mod:`.turning`). None: the table stood.
-
     Raises DataError for values that are not finite, indices out of range, and standard
     deviations that are not positive; ConfigurationError for unknown names.
     """
@@ -133,9 +129,6 @@ class LengthProblem:
     moved: Floats | None = None
     slip: float = _DEFAULTS.slip_m
     settings: TracerLimits = _DEFAULTS
-    speed: Floats | None = None
-    lag: float | None = None
-    lag_std: float = 0.0
 
     def __post_init__(self) -> None:
         """Check and freeze the columns."""
@@ -154,9 +147,6 @@ class LengthProblem:
         std = broadcast("target_std", std, targets.shape)
         self._store("target_std", require(std >= 0.0, std, "target_std", "zero or more"))
         self._store_numbers("order", "segment")
-        if self.speed is not None:
-            speed = self._store("speed", vector("speed", self.speed, k))
-            require(speed != 0.0, speed, "speed", "a table that turns")
         if self.moved is not None:
             moved = matrix("moved", self.moved)
             if moved.shape != (len(self.position), 3):
@@ -275,6 +265,9 @@ class TracerProblem(LengthProblem):
     ``run`` (k,), optional: an interruption begins another run, all lengths of which count from
     another zero; a target stands elsewhere then by ``position_std`` (m).
 
+    ``speed`` (k,), optional: rad/s, at which the table turned when each length was read, negative
+    back; each position is then passed at one speed. Its feedback is late by ``lag`` +-
+    ``lag_std`` (s); None: not stated (:mod:`.turning`). None: the table stood.
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
@@ -294,6 +287,9 @@ class TracerProblem(LengthProblem):
     again: Ints | None = None
     run: Ints | None = None
     position_std: float = 0.0
+    speed: Floats | None = None
+    lag: float | None = None
+    lag_std: float = 0.0
     start_stations: Floats | None = None
 
     def __post_init__(self) -> None:
@@ -304,6 +300,9 @@ class TracerProblem(LengthProblem):
         super().__post_init__()
         self._store_numbers("again", "run")
         self._check_ties()
+        if self.speed is not None:
+            speed = self._store("speed", vector("speed", self.speed, len(self.position)))
+            require(speed != 0.0, speed, "speed", "a table that turns")
         if self.start_stations is not None:
             start = matrix("start_stations", self.start_stations)
             if len(start) != len(self.table_angles):

@@ -26,7 +26,6 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.causes import started
 from rotcal_ros.adjust.closures import coming_again
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
@@ -54,7 +53,6 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KNOWN,
-    LAG,
     LARGEST_MOVE,
     LARGEST_RATIO,
     PPM,
@@ -77,7 +75,6 @@ from rotcal_ros.methods.tracer.solver.reporting import (
     segments_of,
     tangential_protection,
 )
-from rotcal_ros.methods.tracer.solver.turning import InTime, in_time, of_one_table
 from rotcal_ros.methods.tracer_six.solver.poses import (
     Curves,
     StartPoses,
@@ -122,8 +119,6 @@ def lengths_of(problem: SixProblem, layout: StationLayout, state: StartPoses) ->
         more["lean"] = lean_ways(places).shape[1]
     if not problem.scatter_translation_std == problem.scatter_rotation_std == 0.0:
         more[SCATTER] = 3 * len(layout.position)
-    if problem.speed is not None:
-        more[LAG] = 1
     found = CarriedLengths(
         observed=grid.length[strip, target],
         std=grid.length_std[strip, target],
@@ -143,7 +138,6 @@ def lengths_of(problem: SixProblem, layout: StationLayout, state: StartPoses) ->
         place_ways=null_space(_rigid(places).T, rcond=ALIKE),
         turning=(0, 1, 2),
         poses=(curves.translation, curves.rotation),
-        speed=None if problem.speed is None else problem.speed[row],
     )
     ways = _told_of_targets(found) if grid.free else None
     return replace(found, target_ways=ways, more=more)
@@ -224,9 +218,6 @@ def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
         rows = rows - np.concatenate([lean[::2], lean[1::2]]) @ lengths.rows_of("lean")
         none = np.zeros(rows.shape[0])
         model = model.with_prior("the tilts", csr_array(rows), none, problem.tilt_std)
-    if lengths.speed is not None:
-        shared = [name for name in lengths.blocks if name not in ("shift", "turn")]
-        model = of_one_table(replace(model, shared=shared), lengths, problem.lag, problem.lag_std)
     return _scattering(problem, lengths, model) if SCATTER in lengths.blocks else model
 
 
@@ -376,17 +367,10 @@ class SixSolution:
     found: Adjusted
     absent: dict[int, Phrase]
     reported: Reported | None = None
-    in_time: InTime | None = None
-
-    @property
-    def unknowns(self) -> Floats:
-        """The unknowns of the lengths, as they were solved."""
-        x = self.found.fit.x[: self.found.model.size[1]]
-        return x if self.in_time is None else np.asarray(self.in_time.places @ x)
 
     def part(self, block: str) -> Floats:
         """Return the solved unknowns of a block; of poses and points (k, 3)."""
-        return self.lengths.part(self.unknowns, block)
+        return self.lengths.part(self.found.fit.x, block)
 
     @cached_property
     def curves(self) -> Curves:
@@ -443,11 +427,11 @@ def _adjusted(problem: SixProblem) -> SixSolution:
             observed, std = lengths.observed - weight * along, np.hypot(lengths.std, left)
             moved = replace(lengths, observed=observed, std=std)
         try:
-            found, noise = _solved(problem, layout, moved)
+            found = adjusted(model_of(problem, layout, moved), limits_of(problem.settings))
         except ObservabilityError as error:
             advice = f"{CURE}{or_prior(free=layout.grid.free)}"
             raise ObservabilityError(f"{error}: {advice}") from None
-        return SixSolution(problem, layout, moved, found, absent, in_time=noise)
+        return SixSolution(problem, layout, moved, found, absent)
 
     weight = 1.0
     if along is not None:
@@ -456,16 +440,6 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     solution = replace(solution, reported=reported)
     _check_curves(solution, problem.settings.max_station_std)
     return solution
-
-
-def _solved(
-    problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
-) -> tuple[Adjusted, InTime | None]:
-    """Return the solution, and the noise in time of a table that turned."""
-    model, limits = model_of(problem, layout, lengths), limits_of(problem.settings)
-    if lengths.speed is None:
-        return adjusted(model, limits), None
-    return in_time(started(model, limits), lengths, problem.earlier[lengths.row], limits)
 
 
 def _check_curves(solution: SixSolution, limit: float) -> None:
@@ -682,7 +656,7 @@ class Upward:
     def of(cls, solution: SixSolution) -> Upward:
         """Return that of all lengths that were used, in the stated frame."""
         lengths = solution.lengths
-        beam = solution.targets[lengths.target] - lengths.stands(solution.unknowns)[0]
+        beam = solution.targets[lengths.target] - lengths.stands(solution.found.fit.x)[0]
         rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[_used(solution)]
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))
 
