@@ -218,7 +218,7 @@ def mapped(covariance: Spread, to: Floats | csr_array) -> Spread:
         return covariance.mapped(to)
     if isinstance(to, np.ndarray):
         return np.asarray(to @ covariance @ to.T)
-    return np.asarray(to @ (to @ covariance).T)
+    return np.ascontiguousarray((to @ (to @ covariance).T).T)
 
 
 def require_allowed(what: str, rows: Floats, own: Floats, every: Floats) -> None:

@@ -121,7 +121,7 @@ def test_a_reversal_that_a_table_of_both_sides_takes_off_is_seen():
     [
         ({"verdict": "suspect", "warnings": ("a knock",)}, {}, "b.csv has the verdict suspect"),
         ({}, {"measured_on": NONE}, "a.csv: measured with no table in force"),
-        ({"measured_on": "a" * 64}, {"measured_on": "a" * 64}, "both measured on top of"),
+        ({"measured_on": "a" * 64}, {"measured_on": "a" * 64}, "both measured with table"),
         ({"circumstances": Circumstances(begun_ns=9)},
          {"circumstances": Circumstances(begun_ns=5)}, "a.csv was measured earlier than b.csv"),
         ({"circumstances": Circumstances(identity=Identity(serial="1"))},

@@ -128,7 +128,7 @@ def _merged(result: Result, own: Directions) -> DirectionalCurve:
         angles=angles,
         forward=merge @ own.forward,
         reverse=merge @ own.reverse,
-        covariance=np.asarray(twice @ (twice @ own.covariance).T),
+        covariance=np.ascontiguousarray((twice @ (twice @ own.covariance).T).T),
         period=period,
         both=True,
         notes=(note,) if missing else (),

@@ -69,7 +69,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     return MeasuredCurve(
         angles=angles,
         deviation=merge @ curve.deviation,
-        covariance=np.asarray(merge @ (merge @ curve.covariance).T),
+        covariance=np.ascontiguousarray((merge @ (merge @ curve.covariance).T).T),
         period=curve.period,
         verdict_line=result.verdict_line,
         simulated=result.simulated,
