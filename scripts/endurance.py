@@ -30,6 +30,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -120,6 +121,12 @@ def kill(session: Session) -> None:
             os.kill(nodes[session.noted["killed"]], signal.SIGKILL)
 
 
+def jump(session: Session, clock: JumpingClock, far_s: float) -> None:
+    """Let the clock of the session jump."""
+    if session.wait():
+        clock.jump(far_s)
+
+
 def intrude(session: Session) -> None:
     """Let a stranger publish points, positions and observations of its own."""
     if session.wait():
@@ -158,8 +165,7 @@ def trouble(name: str, session: Session, place: Path) -> Iterator[None]:
             far_s = session.noted["jump_s"] = session.generator.choice(
                 (-3600.0, -5.0, 3.0, 7200.0)
             )
-            jump: Trouble = lambda beside: clock.jump(far_s) if beside.wait() else None  # noqa: E731
-            stack.enter_context(happening(session, jump))
+            stack.enter_context(happening(session, partial(jump, clock=clock, far_s=far_s)))
         elif name == "full disk":
             subprocess.run(
                 ("mount", "-t", "tmpfs", "-o", f"size={DISK}", "none", place), check=True

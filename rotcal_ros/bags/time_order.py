@@ -21,8 +21,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from tempfile import TemporaryFile
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -405,8 +406,17 @@ class BlockSorter:
     """
 
     def __init__(self) -> None:
-        self._rows, self._payloads = TemporaryFile(), TemporaryFile()  # noqa: SIM115 - kept open
         self._count = self._size = 0
+
+    @cached_property
+    def _rows(self) -> IO[bytes]:
+        """The file of what is sorted; a bag in order needs none, and no room for it."""
+        return TemporaryFile()
+
+    @cached_property
+    def _payloads(self) -> IO[bytes]:
+        """The file of the messages' bytes."""
+        return TemporaryFile()
 
     def add(self, block: Block, keys: Ints) -> None:
         """Take the messages of ``block``; ``keys`` has one time (ns) for each."""
@@ -424,9 +434,9 @@ class BlockSorter:
 
     def blocks(self) -> Iterator[Block]:
         """Yield all messages, then forget them; their log times are the keys."""
+        if not self._count:
+            return
         with self._rows, self._payloads:
-            if not self._count:
-                return
             self._payloads.write(b"\0")  # an empty file cannot be mapped
             self._rows.flush()
             self._payloads.flush()

@@ -122,13 +122,11 @@ def prepare_export(
     """
     controller = make_controller(controller_name, settings).for_axis(table.axis)
     _refuse(table, controller, axis, accept_unverified=accept_unverified)
-    usual = default_stem(table.axis, controller_name)
-    name = choose_stem(stem, usual, simulated=table.simulated)
+    name = choose_stem(stem, default_stem(table.axis, controller_name), simulated=table.simulated)
     measured = resample(table, reference_angle=reference_angle)
     shifted = _completed(measured, controller)
-    rows = (
-        choose_row_spacing(shifted, controller) if spacing is None else resample(shifted, spacing)
-    )
+    chosen = spacing is not None
+    rows = resample(shifted, spacing) if chosen else choose_row_spacing(shifted, controller)
     files = controller.commented(controller.write(rows, name), other_control_settings(controller))
     if table.simulated:
         files = controller.marked(files, NOTHING_MEASURED)

@@ -281,8 +281,7 @@ def table_from_result(
     left_out = () if harmonics is None else (_left_out(curve, harmonics),)
     every = [result] if reverse is None else [result, reverse]
     circumstances = [r.circumstances for r in every]
-    begun = [c.begun_ns or 0 for c in circumstances]
-    ended = [c.ended_ns or 0 for c in circumstances]
+    begun, ended = zip(*((c.begun_ns or 0, c.ended_ns or 0) for c in circumstances), strict=True)
     open_zeros = (r.zeros.describe(["ECC"]) for r in every)
     return CompensationTable(
         axis=axis,

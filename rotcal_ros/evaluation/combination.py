@@ -175,14 +175,9 @@ def assemble_result(
     ]
     warnings += [group.describe() for group in groups if not group.consistent]
     warnings += [
-        phrase(
-            "{0}: {1} (chi2/dof {2:.2f})",
-            group.name,
-            phrase(TOO_ALIKE),
-            group.chi2_of_noise / group.dof,
-        )
-        for group in groups
-        if agrees_too_well(group.chi2_of_noise, group.dof, SURE / len(groups))
+        phrase("{0}: {1} (chi2/dof {2:.2f})", g.name, phrase(TOO_ALIKE), g.chi2_of_noise / g.dof)
+        for g in groups
+        if agrees_too_well(g.chi2_of_noise, g.dof, SURE / len(groups))
     ]
     checked = {n for group in groups if group.dof for names in group.members for n in names}
     unchecked = [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]

@@ -145,9 +145,8 @@ def compare(
     agree = _agree(normalised, p_value)
     least = chi2
     if both.shared is None and not exact:
-        bare = pair_curves(
-            with_observation_noise_only(first), with_observation_noise_only(second), names
-        )
+        own = with_observation_noise_only
+        bare = pair_curves(own(first), own(second), names)
         least = _align(raw, _of_difference(bare), basis)[2]
     doubts = [
         phrase(OFFSETS_OFF if curve.open_zeros else "{0}: {1}", name, curve.verdict_line)
@@ -158,14 +157,13 @@ def compare(
     alike = [phrase("{0} (chi2/dof {1:.2f})", phrase(TOO_ALIKE), least / dof)] * (
         not exact and agrees_too_well(least, dof)
     )
-    harmonics = harmonic_basis(angles, align_order)
     return Comparison(
         angles=angles,
         difference=difference,
         std=std,
         normalised_error=normalised,
         interpolated=both.interpolated,
-        offset=float(np.linalg.lstsq(harmonics, raw, rcond=None)[0][0]),
+        offset=float(np.linalg.lstsq(harmonic_basis(angles, align_order), raw, rcond=None)[0][0]),
         rms=float(np.sqrt(np.mean(difference**2))),
         chi2=chi2,
         dof=dof,

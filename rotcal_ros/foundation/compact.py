@@ -145,6 +145,8 @@ class CompactCovariance:
         begin, column = (_unpacked(data[name], "<i4") for name in ("begin", "column"))
         value, common = (_unpacked(data[name], "<f8") for name in ("value", "common"))
         signs, columns = np.array(data["signs"], dtype=np.float64), int(data["columns"])
+        if columns > len(column):  # a product takes room for each, used or not
+            raise ValueError(f"compact covariance: {columns} columns of {len(column)} values")
         ends = len(begin) == n + 1 and begin[0] == 0 and begin[-1] == len(column) == len(value)
         if not ends or np.any(np.diff(begin) < 0) or np.any((column < 0) | (column >= columns)):
             raise ValueError(f"compact covariance: no rows of {n} values")
@@ -218,6 +220,7 @@ def mapped(covariance: Spread, to: Floats | csr_array) -> Spread:
         return covariance.mapped(to)
     if isinstance(to, np.ndarray):
         return np.asarray(to @ covariance @ to.T)
+    # turned twice: a value that is only carried along keeps its bits
     return np.ascontiguousarray((to @ (to @ covariance).T).T)
 
 

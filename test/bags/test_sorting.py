@@ -1,5 +1,6 @@
-"""BlockSorter messages by a time without holding them all."""
+"""Messages are sorted by a time without holding them all."""
 
+import tempfile
 import tracemalloc
 
 import numpy as np
@@ -44,7 +45,8 @@ def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(
     assert found == sorted((int(k), n, payloads[n]) for n, k in enumerate(keys))
 
 
-def test_nothing_gives_nothing():
+def test_nothing_gives_nothing_and_needs_no_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "not there"))
     assert list(BlockSorter().blocks()) == []
 
 

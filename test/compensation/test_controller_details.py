@@ -21,7 +21,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
 UP, DOWN = Approach.POSITIVE, Approach.NEGATIVE
 
 
-def fits_exactly(controller, most, words):
+def assert_fits_exactly(controller, most, words):
     """As many rows as ``most`` are written, and one more is refused in ``words``."""
     assert controller.read(controller.write(turn(np.zeros(most)), "t"))
     with pytest.raises(ConfigurationError, match=words):
@@ -38,7 +38,7 @@ def fits_exactly(controller, most, words):
     ],
 )  # fmt: skip
 def test_the_limit_itself_fits_and_one_more_does_not(settings, most, words):
-    fits_exactly(make_controller("linuxcnc", settings), most, words)
+    assert_fits_exactly(make_controller("linuxcnc", settings), most, words)
 
 
 def test_an_arc_of_linuxcnc_has_at_most_256_rows_and_one_turn():

@@ -57,7 +57,7 @@ MEASURED = {
 EXAMPLES = settings(max_examples=30 if LONG else 2, deadline=None)
 
 
-def remove_error(name, values, curve, rows, reference, seed, halves=True):
+def assert_error_removed(name, values, curve, rows, reference, seed, halves=True):
     """What is left is below the stated residual, and ``halves`` the deviation at least."""
     terms, (offset, size, phase) = curve
 
@@ -99,7 +99,7 @@ def remove_error(name, values, curve, rows, reference, seed, halves=True):
 @EXAMPLES
 @given(**MEASURED)
 def test_what_is_left_is_below_the_stated_residual(variant, **measured):
-    remove_error(*VARIANTS[variant], **measured)
+    assert_error_removed(*VARIANTS[variant], **measured)
 
 
 def test_second_order_is_simulated_and_stated():
@@ -111,7 +111,7 @@ def test_second_order_is_simulated_and_stated():
     assert done.residual.second_order == pytest.approx(amplitude**2, rel=0.05)
 
 
-def round_by(name, value_arcsec, angle_arcsec):
+def assert_rounding(name, value_arcsec, angle_arcsec):
     """Angles are rounded too: that many arcsec times the steepest slope of the curve."""
     angles = even(36)
     table = table_from_result(result_of(angles, wavy(angles)))
@@ -129,7 +129,7 @@ def round_by(name, value_arcsec, angle_arcsec):
 
 
 def test_rounding_is_half_a_step_and_what_the_angle_moves():
-    round_by("csv", 0.5e-6, 3.6e-6)
+    assert_rounding("csv", 0.5e-6, 3.6e-6)
 
 
 @pytest.mark.parametrize("name", controller_names())
@@ -156,7 +156,7 @@ SPACINGS_DEG = [7.0, 13.3, 50.0]
 """They do not divide the turn."""
 
 
-def take_spacing(name, spacing_deg, even_only=False):
+def assert_spacing_taken(name, spacing_deg, even_only=False):
     """The rows are written, or refused by a control that takes ``even_only``."""
     angles = even(72)
     table = table_from_result(result_of(angles, wavy(angles, [(1, 20.0, 0.4)])))
@@ -176,7 +176,7 @@ def take_spacing(name, spacing_deg, even_only=False):
 @pytest.mark.parametrize("name", ["csv", "linuxcnc"])
 @pytest.mark.parametrize("spacing_deg", SPACINGS_DEG)
 def test_spacings_that_do_not_divide_the_turn(name, spacing_deg):
-    take_spacing(name, spacing_deg)
+    assert_spacing_taken(name, spacing_deg)
 
 
 @pytest.mark.parametrize("name", controller_names())

@@ -80,7 +80,7 @@ DAMAGE = [
 ]  # fmt: skip
 
 
-def refuse_damage(controller, files, before, after, words):
+def assert_damage_named(controller, files, before, after, words):
     assert any(before in text for text in files.values())
     files = {name: text.replace(before, after) for name, text in files.items()}
     with pytest.raises(BagError, match=words):
@@ -90,7 +90,7 @@ def refuse_damage(controller, files, before, after, words):
 @pytest.mark.parametrize(("name", "before", "after", "words"), DAMAGE)
 def test_damage_is_named(name, before, after, words):
     settings, files = FILES[name]
-    refuse_damage(make_controller(name, settings), files, before, after, words)
+    assert_damage_named(make_controller(name, settings), files, before, after, words)
 
 
 def test_parsing_names_file_and_row():
@@ -112,7 +112,7 @@ def test_parsing_names_file_and_row():
 # Marks of a simulation.
 
 
-def mark_as_simulated(control, has_comments, table):
+def assert_marked_as_simulated(control, has_comments, table):
     """The control that reads the file, and our own reader, make the same of it."""
     texts = [
         prepare_export(
@@ -136,4 +136,4 @@ def mark_as_simulated(control, has_comments, table):
 
 @pytest.mark.parametrize("name", CONTROLS)
 def test_a_simulated_table_says_so_inside_every_file_whose_form_has_comments(name):
-    mark_as_simulated(CONTROLS[name], name == "linuxcnc", two_ways(36))
+    assert_marked_as_simulated(CONTROLS[name], name == "linuxcnc", two_ways(36))

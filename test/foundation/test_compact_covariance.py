@@ -75,6 +75,7 @@ def test_a_file_gives_the_same_bits():
         ("value", "no base64", "no numbers"),
         ("value", "AAAAAAAA8H8=", "no rows"),
         ("columns", 3, "no rows"),
+        ("columns", 1 << 40, "columns of"),
         ("common", "", "a column for each"),
         ("signs", [2.0, 1.0, 1.0, 1.0], "signs"),
         ("signs", [-1.0, -1.0, -1.0, -1.0], "contradicts its variances"),

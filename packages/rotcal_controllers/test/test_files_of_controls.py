@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from compensation_examples import d4_table, two_ways
 from controls_beside_the_core import CONTROLS
-from test_written_files import mark_as_simulated, refuse_damage, write_and_read
+from test_written_files import assert_damage_named, assert_marked_as_simulated, write_and_read
 
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.foundation.errors import BagError
@@ -231,7 +231,7 @@ DAMAGE = [
 def test_damage_is_named(variant, before, after, words):
     settings, files = FILES[variant]
     controller = make_controller(variant.split()[0], settings)
-    refuse_damage(controller, files, before, after, words)
+    assert_damage_named(controller, files, before, after, words)
 
 
 def twincat(n=4, last=0, **changes):
@@ -292,4 +292,4 @@ def test_a_simulated_table_says_so_inside_every_file_whose_form_has_comments(nam
     control, table = CONTROLS[name], two_ways(36)
     if control.kind == "pmac":  # from above it comes out higher
         table = replace(table, correction_reverse=table.correction_forward - 1e-4)
-    mark_as_simulated(control, control.kind in WITH_COMMENTS, table)
+    assert_marked_as_simulated(control, control.kind in WITH_COMMENTS, table)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, arc, even, result_of, turn, wavy
 from controls_beside_the_core import OURS
-from test_controller_details import fits_exactly
+from test_controller_details import assert_fits_exactly
 from test_controller_limits import export, refuse_rows
 
 from rotcal_ros.compensation.controllers import make_controller
@@ -32,7 +32,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
     ],
 )  # fmt: skip
 def test_the_limit_itself_fits_and_one_more_does_not(name, settings, most, words):
-    fits_exactly(make_controller(name, settings), most, words)
+    assert_fits_exactly(make_controller(name, settings), most, words)
 
 
 @pytest.mark.parametrize("name", OURS)

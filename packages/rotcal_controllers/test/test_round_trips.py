@@ -9,10 +9,10 @@ from test_controllers import (
     EXAMPLES,
     MEASURED,
     SPACINGS_DEG,
+    assert_error_removed,
+    assert_rounding,
+    assert_spacing_taken,
     export,
-    remove_error,
-    round_by,
-    take_spacing,
 )
 
 from rotcal_ros.compensation.table import table_from_result
@@ -54,7 +54,7 @@ def test_what_is_left_is_below_the_stated_residual(variant, curve, rows, referen
         terms, (offset, size, phase) = curve
         curve = terms, (abs(offset) + size, size, phase)
     try:
-        remove_error(name, values, curve, rows, reference, seed, halves=name != "fanuc")
+        assert_error_removed(name, values, curve, rows, reference, seed, halves=name != "fanuc")
     except DataError as error:
         # A control with 3.6 arcsec steps may not be able to help; it then must say so.
         if name != "fanuc" or "too coarse" not in str(error):
@@ -67,13 +67,13 @@ def test_what_is_left_is_below_the_stated_residual(variant, curve, rows, referen
 )
 def test_rounding_is_half_a_step_and_what_the_angle_moves(name, value_arcsec, angle_arcsec):
     """A value of Heidenhain's way back may be the sum of two rounded ones."""
-    round_by(name, value_arcsec, angle_arcsec)
+    assert_rounding(name, value_arcsec, angle_arcsec)
 
 
 @pytest.mark.parametrize("name", [name for name in OURS if name != "encoder_lut"])
 @pytest.mark.parametrize("spacing_deg", SPACINGS_DEG)
 def test_spacings_that_do_not_divide_the_turn(name, spacing_deg):
-    take_spacing(name, spacing_deg, even_only=name in EVEN_ONLY)
+    assert_spacing_taken(name, spacing_deg, even_only=name in EVEN_ONLY)
 
 
 @pytest.mark.parametrize("name", OURS)

@@ -85,7 +85,7 @@ def heads(form: str, up: str, down: str) -> list[list[str]]:
     return [["Target [deg]", *found[form]]]
 
 
-def require_runs(runs: BidirectionalRuns) -> None:
+def assert_runs(runs: BidirectionalRuns) -> None:
     np.testing.assert_allclose(np.rad2deg(runs.targets), PLACES, atol=1e-9)
     np.testing.assert_allclose(runs.forward / ARCSEC, UP, atol=1e-6)
     np.testing.assert_allclose(runs.reverse / ARCSEC, DOWN, atol=1e-6)
@@ -100,14 +100,14 @@ def test_a_direction_that_may_be_of_either_sign_is_asked(tmp_path, form, up, dow
     values = np.array(ONE_THEN_OTHER if form in ("CW 1, CW 2", "merged ways") else BOTH)
     path = file(tmp_path, below(heads(form, up, down), PLACES, *values.T))
     if (up, down) in WAYS:
-        require_runs(read_any_runs(path))
+        assert_runs(read_any_runs(path))
         return
     with pytest.raises(UndecidedError, match="in which direction the table angle grows") as asked:
         read_any_runs(path)
     assert asked.value.question.setting == "sheet.up"
     (first, _), (second, _) = asked.value.question.answers
     assert (first, second) == (up, down)
-    require_runs(read_any_runs(path, SheetSettings(up=first)))
+    assert_runs(read_any_runs(path, SheetSettings(up=first)))
     other = read_any_runs(path, SheetSettings(up=second))
     np.testing.assert_allclose(other.forward / ARCSEC, DOWN, atol=1e-6)
 
@@ -125,7 +125,7 @@ def test_the_order_of_rows_may_show_which_direction_it_is(tmp_path, up, down, as
     if not as_driven:
         with pytest.raises(UndecidedError, match="do not say"):
             read_any_runs(path)
-    require_runs(read_any_runs(path, SheetSettings(up="" if as_driven else up)))
+    assert_runs(read_any_runs(path, SheetSettings(up="" if as_driven else up)))
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_the_order_of_rows_may_show_which_direction_it_is(tmp_path, up, down, as
 def test_signs_and_arrows_at_the_number_of_a_run_are_its_direction(tmp_path, head, up, down):
     names = [head.format(j=j, w=w) for j in "123" for w in (up, down)]
     path = file(tmp_path, below([["Target [deg]", *names]], PLACES, *np.array(BOTH).T))
-    require_runs(read_any_runs(path, SheetSettings(reading_unit="arcsec")))
+    assert_runs(read_any_runs(path, SheetSettings(reading_unit="arcsec")))
 
 
 def test_a_symbol_of_something_else_with_both_directions_is_no_deviation(tmp_path):
@@ -154,7 +154,7 @@ def test_unknown_words_for_a_direction_are_refused_with_advice_that_works(tmp_pa
         BagError, match="write the number and the direction at each head, as Run 1"
     ):
         read_any_runs(table("foo", "bar"))
-    require_runs(read_any_runs(table("up", "down")))
+    assert_runs(read_any_runs(table("up", "down")))
 
 
 # Symbols and units.

@@ -42,7 +42,7 @@ def test_columns_without_any_name_are_stated_by_their_numbers(tmp_path, separato
     stated = {"columns": ("angle=#1", "deviation=#2")}
     with pytest.raises(UndecidedError, match="states no unit"):
         read_deviations(path, 1.0, SheetSettings(**stated))
-    require_truth(path, **stated, angle_unit="deg", reading_unit="arcsec")
+    assert_truth(path, **stated, angle_unit="deg", reading_unit="arcsec")
 
 
 def table(path: Path, head: list[str], columns: list[list[str]], separator: str = ",") -> Path:
@@ -68,7 +68,7 @@ def sixtieths(values: np.ndarray, mark: str = ".") -> list[str]:
     return found
 
 
-def require_truth(path: Path, **settings: object) -> None:
+def assert_truth(path: Path, **settings: object) -> None:
     curve = read_deviations(path, 1.0, SheetSettings(**settings))
     np.testing.assert_allclose(np.rad2deg(curve.angles), ANGLES, atol=1e-9)
     np.testing.assert_allclose(np.rad2deg(curve.deviation), OFF, atol=3e-6)
@@ -80,9 +80,9 @@ def test_actual_less_commanded_is_the_deviation(tmp_path, commanded, actual, tur
     head = [f"{commanded} [deg]", f"{actual} [deg]"]
     columns = [degrees(ANGLES, 1), degrees(ANGLES + OFF)]
     way = -1 if turned else 1
-    require_truth(table(tmp_path, head[::way], columns[::way]))
+    assert_truth(table(tmp_path, head[::way], columns[::way]))
     three = table(tmp_path, [*head[::way], "Error [arcsec]"], [*columns[::way], seconds(OFF)])
-    require_truth(three)
+    assert_truth(three)
 
 
 @pytest.mark.parametrize(("commanded", "actual"), [*PAIRS, *NO_PAIRS])
@@ -94,7 +94,7 @@ def test_an_error_of_the_other_sign_is_asked_about(tmp_path, commanded, actual) 
     assert asked.value.exit_code == 2
     assert f"column 2 '{head[1]}': first" in asked.value.log
     first, _ = asked.value.question.answers
-    require_truth(path, columns=(first[0],))
+    assert_truth(path, columns=(first[0],))
 
 
 @pytest.mark.parametrize("errors", [True, False])
@@ -112,11 +112,11 @@ def test_headings_that_may_be_exchanged_are_asked_about(
     if not errors:  # the other one is asked for next
         with pytest.raises(BagError, match=rf'"actual={actual} \[deg\]"'):
             read_deviations(path, 1.0, SheetSettings(columns=(exchanged,)))
-        require_truth(path, columns=(exchanged, f"actual={actual} [deg]"))
+        assert_truth(path, columns=(exchanged, f"actual={actual} [deg]"))
         curve = read_deviations(path, 1.0, SheetSettings(columns=(as_named,)))
         np.testing.assert_allclose(np.rad2deg(curve.deviation), -OFF, atol=3e-6)
         return
-    require_truth(path, columns=(exchanged,))
+    assert_truth(path, columns=(exchanged,))
 
 
 @pytest.mark.parametrize("digits", [4, 9])
@@ -148,7 +148,7 @@ def test_a_second_column_of_angles_is_asked_for_and_the_advice_works(
     with pytest.raises(BagError, match=rf'"actual={actual} \[deg\]"') as asked:
         read_deviations(path, 1.0)
     (answer, _), (other, _) = asked.value.question.answers
-    require_truth(path, columns=(answer,))
+    assert_truth(path, columns=(answer,))
     assert other == f"angle={actual} [deg]"
     with pytest.raises(BagError, match=rf'"actual={commanded} \[deg\]"'):
         read_deviations(path, 1.0, SheetSettings(columns=(other,)))
@@ -184,7 +184,7 @@ def test_forms_that_leave_nothing_open(tmp_path, form, decimal_comma) -> None:
         separator = ";"
     if decimal_comma:
         columns = [[cell.replace(".", ",") for cell in column] for column in columns]
-    require_truth(table(tmp_path, head, columns, separator))
+    assert_truth(table(tmp_path, head, columns, separator))
 
 
 ASKED = {
@@ -231,7 +231,7 @@ def test_forms_that_leave_something_open_are_asked_about(tmp_path, form) -> None
         assert asked.value.question.setting == f"sheet.{name}"
         offered = [given for given, _ in asked.value.question.answers]
         assert (value[0] if name == "columns" else value) in offered
-        require_truth(path, **answer)
+        assert_truth(path, **answer)
 
 
 # Targets x runs.
@@ -315,7 +315,7 @@ RUNS = {
 }  # fmt: skip
 
 
-def require_runs(path: Path, **settings: object) -> None:
+def assert_runs(path: Path, **settings: object) -> None:
     runs = read_any_runs(path, SheetSettings(**settings))
     np.testing.assert_allclose(np.rad2deg(runs.targets), PLACES, atol=1e-9)
     np.testing.assert_allclose(runs.forward / ARCSEC, UP, atol=1e-3)
@@ -325,7 +325,7 @@ def require_runs(path: Path, **settings: object) -> None:
 @pytest.mark.parametrize("form", RUNS)
 def test_targets_times_runs(tmp_path, form) -> None:
     (path := tmp_path / "t.csv").write_text("\n".join(map(",".join, RUNS[form][0])), "utf-8")
-    require_runs(path, **RUNS[form][1])
+    assert_runs(path, **RUNS[form][1])
 
 
 @pytest.mark.parametrize("way", [("", ""), (" cw", " ccw")])
@@ -338,7 +338,7 @@ def test_runs_without_known_directions_are_refused(tmp_path, way) -> None:
     with pytest.raises(DataError, match=r"up or down behind|'ccw' and 'cw' do not say"):
         read_any_runs(path, SheetSettings(columns=("angle=P [deg]",)))
     if way[0]:
-        require_runs(path, columns=("angle=P [deg]",), up="ccw")
+        assert_runs(path, columns=("angle=P [deg]",), up="ccw")
 
 
 @pytest.mark.parametrize("form", [name for name, (_, answer) in RUNS.items() if answer])
@@ -381,9 +381,9 @@ def test_a_title_of_several_cells_is_no_head_of_columns_stated_by_number(tmp_pat
         "Operator;Meier\nfoo;bar\n" + "".join(f"{a};{d}\n" for a, d in rows), encoding="utf-8"
     )
     stated = {"columns": ("angle=#1", "deviation=#2")}
-    require_truth(path, **stated, angle_unit="deg", reading_unit="arcsec")
+    assert_truth(path, **stated, angle_unit="deg", reading_unit="arcsec")
 
 
 def test_rows_with_their_name_in_front_are_columns(tmp_path):
     rows = [["Angle [deg]", *degrees(ANGLES, 0)], ["Deviation [arcsec]", *seconds(OFF)]]
-    require_truth(table(tmp_path, rows[0], [[cell] for cell in rows[1]]))
+    assert_truth(table(tmp_path, rows[0], [[cell] for cell in rows[1]]))

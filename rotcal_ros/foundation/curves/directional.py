@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import block_diag, csr_array
 
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.compact import mapped, written
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.curves.measured import (
     MeasuredCurve,
@@ -128,7 +129,7 @@ def _merged(result: Result, own: Directions) -> DirectionalCurve:
         angles=angles,
         forward=merge @ own.forward,
         reverse=merge @ own.reverse,
-        covariance=np.ascontiguousarray((twice @ (twice @ own.covariance).T).T),
+        covariance=written(mapped(own.covariance, twice)),
         period=period,
         both=True,
         notes=(note,) if missing else (),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.compact import mapped, written
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrap_to_turn
 from rotcal_ros.foundation.errors import DataError
@@ -69,7 +70,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     return MeasuredCurve(
         angles=angles,
         deviation=merge @ curve.deviation,
-        covariance=np.ascontiguousarray((merge @ (merge @ curve.covariance).T).T),
+        covariance=written(mapped(curve.covariance, merge)),
         period=curve.period,
         verdict_line=result.verdict_line,
         simulated=result.simulated,

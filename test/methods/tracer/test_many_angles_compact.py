@@ -49,7 +49,7 @@ def both_forms(monkeypatch, scene, *args):
     return found
 
 
-def require_equal(matrix, compact):
+def assert_same_result(matrix, compact):
     for a, b in (
         (matrix.covariance["ECC"], compact.covariance["ECC"]),
         (matrix.directions["ECC"].covariance, compact.directions["ECC"].covariance),
@@ -66,7 +66,7 @@ def require_equal(matrix, compact):
 def test_it_is_the_matrix_at_even_angles(monkeypatch, angles, correlated_s, motion):
     scene = turning_scene(3, angles=angles, correlated_s=correlated_s, window_deg=0.5)
     std = CORRELATED if correlated_s else WHITE
-    require_equal(*both_forms(monkeypatch, scene, std, motion))
+    assert_same_result(*both_forms(monkeypatch, scene, std, motion))
 
 
 @pytest.mark.slow
@@ -74,13 +74,13 @@ def test_it_is_the_matrix_at_even_angles(monkeypatch, angles, correlated_s, moti
 def test_it_is_the_matrix_at_360_angles(monkeypatch, correlated_s):
     scene = turning_scene(4, angles=360, targets=8, correlated_s=correlated_s, window_deg=0.5)
     std = CORRELATED if correlated_s else WHITE
-    require_equal(*both_forms(monkeypatch, scene, std))
+    assert_same_result(*both_forms(monkeypatch, scene, std))
 
 
 def test_it_is_the_matrix_at_uneven_angles(monkeypatch):
     every = np.unique(np.random.default_rng(5).integers(0, 72, 40))
     scene = uneven(turning_scene(5, angles=72, correlated_s=0.1), every)
-    require_equal(*both_forms(monkeypatch, scene, CORRELATED))
+    assert_same_result(*both_forms(monkeypatch, scene, CORRELATED))
 
 
 def test_what_reads_a_result_gets_the_same_from_either_form(monkeypatch):
