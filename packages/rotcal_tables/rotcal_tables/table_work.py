@@ -28,6 +28,7 @@ from rotcal_ros.foundation.files import replace_atomically, write_atomically, wr
 from rotcal_ros.foundation.language import Phrase, phrase, use_language
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.table_columns import UNITS, TableColumn, unit_setting
+from rotcal_ros.foundation.table_questions import further_lines
 from rotcal_ros.foundation.table_reading import Reading, Use
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.foundation.untrusted import read_text
@@ -160,16 +161,15 @@ def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> 
 
 def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
-    text, *log = map(asked.describe, in_lines(error))
-    if isinstance(error, UndecidedError):
-        text = asked.describe(error.found)
+    text, *log = in_lines(error)
     question = error.question if isinstance(error, RotcalError) else None
+    answers = {*further_lines(question), *(line for line in log if line.startswith("--set "))}
+    text = asked.describe(error.found if isinstance(error, UndecidedError) else text)
     text = text.replace("--reference-u ARCSEC (k = 1), ", "")
-    shown = at_boxes(text, asked.method)
     known = known_settings(asked.method) if asked.method else ()
     return {
-        "text": plain(shown) if shown.parts else shown,
-        "log": [line for line in log if not line.startswith("--set ")],  # buttons say that
+        "text": _at_boxes(text, asked),
+        "log": [asked.describe(line) for line in log if line not in answers],  # buttons say those
         "question": question and _in_words(question, asked),
         "names": [found for found in known if re.search(rf"(?<![\w.]){found}(?![\w.]*\w)", text)],
     }
@@ -223,9 +223,19 @@ def at_boxes(text: str, method: str) -> Phrase:
     return phrase(text, *labels)
 
 
+def _at_boxes(text: str, asked: Asked) -> Any:
+    shown = at_boxes(text, asked.method)
+    return plain(shown) if shown.parts else shown
+
+
 def _in_words(question: Question, asked: Asked) -> Reply:
-    answers = [(value, asked.describe(words)) for value, words in question.answers]
-    return {"setting": question.setting, "answers": answers}
+    """Return a question for the page, with those that are asked besides."""
+    return {
+        "setting": question.setting,
+        "found": _at_boxes(asked.describe(question.found), asked),
+        "answers": [(value, asked.describe(words)) for value, words in question.answers],
+        "also": [_in_words(each, asked) for each in question.also],
+    }
 
 
 def fitted(asked: Asked) -> Reply:

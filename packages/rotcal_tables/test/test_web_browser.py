@@ -11,6 +11,7 @@ import pytest
 import uvicorn
 from accessibility import require_accessible, require_reachable
 from exports import DATA, EXPORTS, MM, lines
+from test_files_of_instruments import rtl
 from test_page_language import english_words
 
 from rotcal_ros.page.app import listen
@@ -193,6 +194,23 @@ def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):
     expect(page.get_by_label("unit of length")).to_have_value("mm")
     page.get_by_role("button", name="Take back: sheet.length_unit = mm").click()
     expect(page.locator("#error")).to_contain_text("states no unit", timeout=PATIENCE_MS)
+
+
+def test_all_that_a_laser_s_file_leaves_open_is_asked_together(opened):
+    page = opened(locale="en-GB")
+    drop(page, "laser.rtl", rtl().encode())
+    expect(page.locator("#method")).to_have_value("deviations", timeout=PATIENCE_MS)
+    groups = page.locator("#answers .buttons")
+    expect(groups).to_have_count(3, timeout=PATIENCE_MS)
+    expect(groups.nth(1).locator("p")).to_contain_text("'deviation' (deviation) states no unit")
+    expect(groups.nth(2).locator("p")).to_contain_text("(if sheet.reading_unit=arcsec)")
+    assert "--set" not in page.locator("#error").inner_text()
+    require_accessible(page)
+    groups.nth(1).get_by_role("button", name="4.4 urad").click()
+    expect(groups).to_have_count(2, timeout=PATIENCE_MS)
+    groups.nth(1).get_by_role("button", name="stands 0.907565 arcsec too far").click()
+    page.get_by_role("button", name="240 deg").click()
+    expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
 
 
 def test_angles_of_a_table_count_where_no_plan_is_stated(opened):
