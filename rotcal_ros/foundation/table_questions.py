@@ -83,6 +83,11 @@ class _Asked:
     sheet: SheetSettings
 
     @property
+    def name(self) -> str:
+        """The setting without its group."""
+        return self.question.setting.removeprefix(_GROUP)
+
+    @property
     def key(self) -> tuple[str, ...]:
         """What tells questions apart: the setting, of columns those that are asked for."""
         setting = self.question.setting
@@ -90,7 +95,7 @@ class _Asked:
 
     def answered(self, value: str) -> SheetSettings | None:
         """Return the settings with an answer; None for one that only shows its form."""
-        name = self.question.setting.removeprefix(_GROUP)
+        name = self.name
         if name == "columns":
             return replace(self.sheet, columns=(*self.sheet.columns, value))
         try:
@@ -129,7 +134,7 @@ class _Trials:
                     if key not in follows and whole:
                         del kept[key]
                     elif key in follows and follows[key] != kept[key].question:
-                        depends[key].append(f"{before.question.setting}={first}")
+                        depends[key].append(f"{before.name}={first}")
         for key, each in kept.items():
             where = ", ".join(dict.fromkeys(depends[key]))
             found = f"{each.question.found} (if {where})" if where else each.question.found

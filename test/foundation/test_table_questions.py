@@ -67,7 +67,7 @@ def test_what_a_question_says_only_after_an_answer_names_that_answer():
             raise question(SIGN, f"3 {sheet.length_unit}")
 
     assert asked_of(read)[0] == [
-        ("sheet.angle_unit", "open"), ("sheet.values", "3 mm (if sheet.length_unit=mm)"),
+        ("sheet.angle_unit", "open"), ("sheet.values", "3 mm (if length_unit=mm)"),
     ]  # fmt: skip
 
 

@@ -6,15 +6,20 @@ each, and errors use the names that people know.
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import partial
+from io import StringIO
 from multiprocessing.connection import Connection
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any, Final
+
+from click import UsageError
 
 from rotcal_ros.cli.console import in_lines
 from rotcal_ros.compensation.agreement import UNVERIFIED
@@ -23,7 +28,12 @@ from rotcal_ros.evaluation.marks import marks, why_withheld
 from rotcal_ros.evaluation.two_measurements import verification_of
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.errors import Question, RotcalError, UndecidedError
+from rotcal_ros.foundation.errors import (
+    ConfigurationError,
+    Question,
+    RotcalError,
+    UndecidedError,
+)
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
 from rotcal_ros.foundation.language import Phrase, phrase, use_language
 from rotcal_ros.foundation.results import Result
@@ -83,6 +93,7 @@ _BOXES: Final = {
     "axis": phrase("Letter of the machine’s axis"),
     "serial": phrase("Serial number of the table in the machine"),
     "set": phrase("Settings, one in a line as NAME=VALUE"),
+    "machine-um": phrase("How well the machine measures or places a point (k = 1)"),
     "accept": _TICK,
     "accept-unverified": _TICK,
 }
@@ -165,7 +176,6 @@ def error_reply(error: Exception, asked: Asked) -> Reply:
     question = error.question if isinstance(error, RotcalError) else None
     answers = {*further_lines(question), *(line for line in log if line.startswith("--set "))}
     text = asked.describe(error.found if isinstance(error, UndecidedError) else text)
-    text = text.replace("--reference-u ARCSEC (k = 1), ", "")
     known = known_settings(asked.method) if asked.method else ()
     return {
         "text": _at_boxes(text, asked),
@@ -224,7 +234,7 @@ def at_boxes(text: str, method: str) -> Phrase:
 
 
 def _at_boxes(text: str, asked: Asked) -> Any:
-    shown = at_boxes(text, asked.method)
+    shown = at_boxes(text.replace("--reference-u ARCSEC (k = 1), ", ""), asked.method)
     return plain(shown) if shown.parts else shown
 
 
@@ -393,6 +403,23 @@ def for_controller(asked: Asked) -> Reply:
     return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
 
 
+def advised(asked: Asked) -> Reply:
+    """Return what ``rotcal plan advise`` says, given its ``arguments``; without any what it knows.
+
+    Raises ConfigurationError where the package is missing, or the arguments are none of it.
+    """
+    advise = plugins.extension(plugins.PLANS, "advise", "advice before a measurement")
+    with redirect_stdout(StringIO()) as printed:
+        try:
+            advise.main([*map(str, asked.options["arguments"]), "--json"], standalone_mode=False)
+        except UsageError as error:
+            raise ConfigurationError(error.format_message()) from error
+    found: Reply = json.loads(printed.getvalue())
+    for way in found.get("ways", ()):
+        way["refused"] = _at_boxes(way["refused"], asked)
+    return found
+
+
 WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
     "fit": fitted,
     "explain": explained,
@@ -402,5 +429,6 @@ WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
     "pdf": as_pdf,
     "dcc": certified,
     "controller": for_controller,
+    "advise": advised,
 }
 """What the page may ask for."""

@@ -43,7 +43,7 @@ def test_runs_of_a_laser_are_read_with_their_directions_and_units_are_asked(tmp_
     assert unit.startswith("asked as well: ")
     assert "the column 'deviation' (deviation) states no unit" in unit
     assert mrad == "--set sheet.reading_unit=mrad: 4.4 mrad = 0.0044 rad"
-    assert sign.endswith("(commanded - actual) (if sheet.reading_unit=arcsec)")
+    assert sign.endswith("(commanded - actual) (if reading_unit=arcsec)")
     assert deviations.startswith("--set sheet.values=deviations: there the axis stands 4.4 arcsec")
     head, *words = all_of_it.split(" --set ")
     assert head == "all at once:"

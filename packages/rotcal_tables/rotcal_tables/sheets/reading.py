@@ -128,7 +128,7 @@ class AnyForm:
         if settings.names:
             found = [with_names_apart(grid, settings.names) for grid in raw]
         if any(text.startswith("#") for text in named.values()):
-            found = with_numbers(found) or found
+            found = with_numbers(found, named.values()) or found
         found = list(map(upright, found))
         layout = best_layout(found, headers, named, str(path), settings.table)
         require_named(path, headers, named, layout.head if layout else likely_head(found))
