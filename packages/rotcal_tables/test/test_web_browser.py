@@ -334,7 +334,9 @@ def test_what_was_stated_outlasts_a_reload_and_another_language(opened):
     page.get_by_label("Take back: length = Other").wait_for()
     page.get_by_label("How it was measured").select_option("tracer_multistation")
     page.locator("[data-name='identity.serial']").fill("4711")
-    page.evaluate("document.querySelectorAll('details:not(#advice *)').forEach((e) => { e.open = true; })")
+    page.evaluate(
+        "document.querySelectorAll('details:not(#advice *)').forEach((e) => { e.open = true; })"
+    )
     page.locator("#instrument").select_option("machine")
     solve(page)
     page.get_by_label("None: the new table replaces").check()
