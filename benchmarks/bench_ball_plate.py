@@ -19,7 +19,7 @@ from dense_ball_plate import DenseSolution, solve_dense
 from scipy.optimize import least_squares
 
 from rotcal_design.ball_plate.ball_layout import mean_variances, plan_plate
-from rotcal_ros.adjust.kernels import Defined
+from rotcal_ros.adjust.kernels import ConstrainedKernel
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
@@ -82,7 +82,7 @@ def by_orders(problem: BallPlateProblem) -> tuple[Floats, Floats]:
     circles = layout.circular
     kernel = None if circles is None else circles.kernel()
     assert kernel is not None
-    defined = Defined.of(kernel, layout.definitions)
+    defined = ConstrainedKernel.of(kernel, layout.definitions)
     outputs = Outputs.alone(layout.curves())
     read = (layout.radial @ problem.deviations[layout.row][:, :, None]).ravel()
     return outputs.times(defined.solve(read)), np.sqrt(defined.variances_of(outputs))

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.methods.table_balls.model import model_of
 from rotcal_ros.methods.table_balls.settings import BallsPlanSettings
@@ -50,7 +50,7 @@ def measurement(chain: str = "C", tilts: tuple[float, ...] = ()) -> Model:
 def solving(model: Model) -> Callable[[], np.ndarray]:
     """Return what solves a model, from start values to the deviations."""
     every = np.ones(model.size[0], dtype=np.bool_)
-    return lambda: fitted(model, every, model.std, model.first).value
+    return lambda: fit_model(model, every, model.std, model.first).value
 
 
 def whole_matrix(model: Model) -> Model:

@@ -21,10 +21,10 @@ import numpy as np
 from racing import Row, race
 from scipy_tracer import DenseNetwork, SparseNetwork, locate_station, locate_stations_batched
 
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed
-from rotcal_ros.methods.tracer.solver.problem import arrange
+from rotcal_ros.methods.tracer.solver.posed import AssumedParameters, PosedProblem
+from rotcal_ros.methods.tracer.solver.problem import arrange_grid
 from rotcal_ros.methods.tracer.solver.start import find_start
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 
@@ -48,7 +48,7 @@ def problem(m: int, n: int, step_deg: float, **options: object) -> TracerProblem
 
 def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Iterator[Row]:
     """All stations; others start at the paper's start values, ours there too or without any."""
-    grid, _ = arrange(problem(m, n, 30.0))
+    grid, _ = arrange_grid(problem(m, n, 30.0))
     start = np.array([-0.0649938, -0.0066256, 0.1225133, 0.0])
     start[3] = np.linalg.norm(start[:3] - grid.targets[0])
     everywhere = np.tile(start, (m, 1))
@@ -79,16 +79,16 @@ def joint(datum: str, m: int = 6, n: int = 108) -> Iterator[Row]:
     """Stations, distances and targets together, both from the station by station solution."""
     # an error motion of 10 mm says nothing of where stations are
     task = problem(m, n, 60.0, variant="joint", datum=datum, error_motion_std=1e-2)
-    grid, absent = arrange(task)
+    grid, absent = arrange_grid(task)
     begin = find_start(grid, None)[0]
     begin = locate_stations(grid.targets, grid.length, grid.weights, begin)[0]
     flat = np.concatenate([begin.ravel(), grid.targets.ravel()])
-    posed = Posed.at(task, grid, absent, begin)
-    model, lengths = posed.model(Supposed()), posed.lengths
+    posed = PosedProblem.at(task, grid, absent, begin)
+    model, lengths = posed.model(AssumedParameters()), posed.lengths
     every, first = np.ones(model.size[0], dtype=np.bool_), lengths.first
 
     def ours() -> np.ndarray:
-        x = fitted(model, every, model.std, model.first).x
+        x = fit_model(model, every, model.std, model.first).x
         zeros = lengths.zeros + x[first["zero"] : first["target"]]
         targets = grid.targets.ravel() + x[first["target"] : first["frame"]]
         return np.append(np.column_stack([lengths.standing(x), zeros]).ravel(), targets)

@@ -14,7 +14,7 @@ from racing import Row, race
 from scipy_tracer_six import SparseSix
 from six_scene import LENGTH_STD, TARGET_STD, scene
 
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.methods.tracer_six.solver import SixProblem
 from rotcal_ros.methods.tracer_six.solver.poses import find_start, rotation_vector
 from rotcal_ros.methods.tracer_six.solver.problem import lay_out
@@ -43,7 +43,7 @@ def joint() -> Row:
     def ours() -> np.ndarray:
         lengths = lengths_of(problem, layout, start)
         model = model_of(problem, layout, lengths)
-        fit = fitted(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
+        fit = fit_model(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
         return lengths.stands(fit.x)[0][np.unique(lengths.station, return_index=True)[1]]
 
     def opponent() -> np.ndarray:

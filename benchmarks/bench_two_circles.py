@@ -19,9 +19,9 @@ from racing import Row, race
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import lsmr, splu
 
-from rotcal_ros.adjust.circles import Circular
+from rotcal_ros.adjust.circles import CircularDesign
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.angle_comparison.model import model_of, readings_of
@@ -54,7 +54,7 @@ def measurement(angles: int, settings: int, kind: str) -> Model:
 def opponents(model: Model) -> dict[str, Callable[[], np.ndarray]]:
     """Return scipy's ways to the outputs of a model."""
     design = model.equations(model.first)[1]
-    rows = design.few if isinstance(design, Circular) else csr_array(design)
+    rows = design.few if isinstance(design, CircularDesign) else csr_array(design)
     outputs, white = csr_array(np.asarray(model.every_output)), model.observed / model.std
     (table, marks, _), p = model.blocks.values(), rows.shape[1]
     free = np.delete(np.arange(p), [table, table + marks])  # a mark and a zero stand still
@@ -83,7 +83,7 @@ def fits() -> Iterator[Row]:
         every = np.ones(model.size[0], dtype=np.bool_)
 
         def ours(model: Model = model, every: np.ndarray = every) -> np.ndarray:
-            return fitted(model, every, model.std, model.first).value
+            return fit_model(model, every, model.std, model.first).value
 
         for name, other in opponents(model).items():
             a, b, difference = race(ours, other, (10, 10))

@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
@@ -88,7 +88,7 @@ def solved(model: Model, whole: bool) -> tuple[Floats, Floats, bool]:
     if whole:
         found = adjust(model)
         return found.value, found.std, found.verdict == "ok"
-    fit = fitted(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
+    fit = fit_model(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
     count = len(model.outputs)
     return fit.value[:count], np.linalg.norm(fit.response, axis=1)[:count], True
 

@@ -46,7 +46,7 @@ from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import Method, changed, prepare
 from rotcal_ros.methods.disturbance import Disturbance
-from rotcal_ros.methods.simulated_run import disturbed, seen_truth, simulated_run
+from rotcal_ros.methods.simulated_run import disturb_events, simulated_run, visible_truth
 from rotcal_ros.recordings.replay import Recording
 
 HERE = Path(__file__).parent / "data_set"
@@ -166,13 +166,13 @@ class Bench:
         what = disturbances_of(calibration.method).get(effect)
         sizes = {} if what is None else {what.effect: size * what.unit_si}
         measured = calibration.measured(sizes, noise)
-        events = disturbed(self.events, calibration, measured)
+        events = disturb_events(self.events, calibration, measured)
         case.mkdir(parents=True)
         write_bag(case / "bag", configuration, ((event.time_ns, event.what) for event in events))
         recording = rc.read_bag(case / "bag")
         write_tables(case, calibration.method.name, recording.observations)
         write_atomically(case / "setup.yaml", configuration.text)
-        true, measures = seen_truth(calibration, measured), MEASURED.get(self.plan, COMPONENTS)
+        true, measures = visible_truth(calibration, measured), MEASURED.get(self.plan, COMPONENTS)
         truth = {
             "schema": 1,
             "method": calibration.method.name,

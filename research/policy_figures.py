@@ -28,7 +28,7 @@ from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.geometry.rotations import on_table
-from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
+from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, StatedResult
 from rotcal_ros.methods.tracer.policy.information import Scene
 from rotcal_ros.methods.tracer.policy.sequence import SequenceForecast
 from rotcal_ros.methods.tracer.policy.until_goal import (
@@ -84,13 +84,13 @@ def experiment(
 
 def stated(
     plan: Plan, per_segment: bool, error_motion: float | None, observations: Sequence[Observation]
-) -> Stated:
+) -> StatedResult:
     """Return what the solver states of ``observations``, with the noise as planned."""
     last = counted(observations, per_segment)
     try:
-        return Stated.of(result_of(plan, per_segment, error_motion, last), last)
+        return StatedResult.of(result_of(plan, per_segment, error_motion, last), last)
     except RotcalError as error:
-        return Stated(np.inf, doubt=str(error))
+        return StatedResult(np.inf, doubt=str(error))
 
 
 def counted(observations: Sequence[Observation], per_segment: bool) -> list[Observation]:

@@ -13,7 +13,7 @@ from rotcal_design.goal import goal_settings
 from rotcal_design.settings import SHARED, TracerDesignSettings
 from rotcal_design.tracer.ordering import ordered_design
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.figures.style import BLUE, GREEN, GREY, ORANGE, RED, grid, styled, svg
+from rotcal_ros.methods.figures.style import BLUE, GREEN, GREY, ORANGE, RED, grid, house_style, svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,7 +65,7 @@ def fewest(found: list[Point]) -> list[Point]:
     return kept
 
 
-@styled
+@house_style
 def drawn(curves: dict[str, list[Point]]) -> str:
     """Return the drawing of plans and bounds by name."""
     [ax] = grid(height=4.2)

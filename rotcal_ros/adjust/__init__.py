@@ -14,12 +14,13 @@ B = C N^-1 J' of the outputs, group by group:
 2. :func:`~.groups.group_test` says of each whether its chi-squared fits its redundancy, before any
    single observation is judged.
 3. :func:`~.judgement.judge` says how probably something gathers in one of them. Where this is
-   ``proved``, :func:`~.judgement.blame` of its ``worst`` group says which elements to leave
-   out: the method drops those rows, adjusts again, and asks again.
+   ``proved``, :func:`~.judgement.most_probable_subset` of its ``worst`` group says which elements
+   to leave out: the method drops those rows, adjusts again, and asks again.
 4. What rivals explain as well, ``Blame.root``, and what is probable but not proved,
    ``Judgement.covariance``, is added to the covariance of the outputs. A verdict is "suspect"
    where something was blamed, all the more where that is ``ambiguous``.
-5. :func:`~.reliability.hidden` says how large an error may stay unseen: a protection.
+5. :func:`~.reliability.largest_undetectable_shift` says how large an error may stay unseen: a
+protection.
 
 Noise that was estimated from the same residuals is stated by ``rest``; then each group is judged
 by what the others scatter.

@@ -67,23 +67,23 @@ class WeighedAlternative:
     gain: float
 
 
-def compared(
-    as_taken: Model, gone: Collection[int], others: Iterable[Alternative]
+def compare_alternatives(
+    as_taken: Model, left_out: Collection[int], alternatives: Iterable[Alternative]
 ) -> list[WeighedAlternative]:
-    """Return what speaks for the ``others``, those first for which there is most.
+    """Return what speaks for the ``alternatives``, those first for which there is most.
 
-    All models have the same observations, in one order, and the same unknowns. What is ``gone``,
-    by row, is left out of each, unless it does better with them.
+    All models have the same observations, in one order, and the same unknowns. What is
+    ``left_out``, by row, is left out of each, unless it does better with them.
     """
-    here = _improbability(as_taken, gone)
+    here = _improbability(as_taken, left_out)
 
     def gain(other: Alternative) -> float:
         try:
-            return 0.5 * (here - _improbability(other.model(), gone))
+            return 0.5 * (here - _improbability(other.model(), left_out))
         except RotcalError:
             return -np.inf
 
-    each = [WeighedAlternative(other, gain(other)) for other in others]
+    each = [WeighedAlternative(other, gain(other)) for other in alternatives]
     return sorted(each, key=lambda other: -other.gain)
 
 
@@ -156,12 +156,12 @@ def _in_orders(model: Model, basis: Floats, left: Floats, factors: Floats) -> fl
     return fall
 
 
-def doubts(every: Sequence[WeighedAlternative]) -> Iterator[Phrase]:
+def alternative_doubts(weighed: Sequence[WeighedAlternative]) -> Iterator[Phrase]:
     """Return in words that readings were surely meant otherwise."""
-    best = next(iter(every), None)
+    best = next(iter(weighed), None)
     if best is None or best.gain < SURELY:
         return
-    alike = _any_of(other for other in every if best.gain - other.gain < EXCLUDED)
+    alike = _any_of(other for other in weighed if best.gain - other.gain < EXCLUDED)
     yield phrase(MEANT_OTHERWISE, alike, _odds(best.gain))
 
 
@@ -174,10 +174,10 @@ def _odds(gain: float) -> float:
     return float(np.exp(min(gain, MOST)))
 
 
-def protections(every: Sequence[WeighedAlternative]) -> Iterator[Protection]:
+def alternative_protections(weighed: Sequence[WeighedAlternative]) -> Iterator[Protection]:
     """Return by effect whether readings that were meant otherwise would show it."""
-    for effect in dict.fromkeys(other.alternative.effect for other in every):
-        mine = [other for other in every if other.alternative.effect == effect]
+    for effect in dict.fromkeys(other.alternative.effect for other in weighed):
+        mine = [other for other in weighed if other.alternative.effect == effect]
         what, gain = phrase(mine[0].alternative.what), mine[0].gain
         if gain > SURELY:
             yield Protection(effect, "tested", phrase("it was found that {0}", what))

@@ -19,10 +19,10 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
+from scipy.sparse import bsr_array, coo_array, coo_matrix, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense, squares_beside
+from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense, squares_outside
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -49,7 +49,7 @@ WEAK: Final = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class FewEach(Design):
+class SparseDesign(Design):
     """A design (n + m, p + q): rows ``few`` (n, p) that feel few unknowns each, others below.
 
     Those, ``known`` (m, p), may feel any, as what is known beforehand does. ``extra`` (n + m, q):
@@ -83,7 +83,7 @@ class FewEach(Design):
         """Return the whole design."""
         return np.hstack([np.concatenate([self.few.toarray(), self.known]), self.columns])
 
-    def weighted(self, weight: Floats) -> FewEach:
+    def weighted(self, weight: Floats) -> SparseDesign:
         """Return the same, its rows times ``weight`` (n + m,)."""
         n, p = self.few.shape
         data = self.few.data * np.repeat(weight[:n], np.diff(self.few.indptr))
@@ -122,7 +122,7 @@ class FewEach(Design):
         found[which >= n] = self.known[which[which >= n] - n] @ x[:p]
         return found if self.extra is None else found + self.extra[which] @ x[p:]
 
-    def beside(self, rows: Floats | csr_array) -> FewEach:
+    def beside(self, rows: Floats | csr_array) -> SparseDesign:
         """Return the design with further ``rows`` (k, p) at its end."""
         if isinstance(rows, csr_array) and not len(self.known):
             n = self.few.shape[0] + rows.shape[0]
@@ -132,7 +132,7 @@ class FewEach(Design):
             return replace(self, few=csr_array((data, indices, begin), shape=(n, rows.shape[1])))
         return replace(self, known=np.concatenate([self.known, dense(rows)]))
 
-    def with_extra(self, columns: Floats) -> FewEach:
+    def with_extra(self, columns: Floats) -> SparseDesign:
         """Return the design with the ``columns`` (n + m, q) of further unknowns."""
         return replace(self, extra=np.hstack([self.columns, columns]))
 
@@ -169,7 +169,7 @@ class FewEach(Design):
 
         What is determined by no more than a share ``weak`` of its length counts as open.
         """
-        return None if self.structure is None else Bordered.of(self, self.structure, weak)
+        return None if self.structure is None else BorderedKernel.of(self, self.structure, weak)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,14 +207,14 @@ class Groups:
         of_row = number[label[:n]]
         idle = of_row < 0  # rows of shared unknowns alone fit into any group
         of_row[idle] = np.arange(int(idle.sum())) % len(groups)
-        at, at_row = within(group), within(of_row)
+        at, at_row = index_within_group(group), index_within_group(of_row)
         size, depth = int(at.max()) + 1, int(at_row.max()) + 1
         own, shared = np.full((len(groups), size), -1), np.flatnonzero(~alone)
         own[group, at] = np.flatnonzero(alone)
         slot = np.zeros(p, dtype=np.int64)
         slot[alone], slot[~alone] = at, size + np.arange(len(shared))
         lacking, absent = np.nonzero(own < 0)
-        more = within(lacking)
+        more = index_within_group(lacking)
         whole, width = depth + int(more.max(initial=-1)) + 1, size + len(shared)
         place = of_row * whole + at_row
         return cls(
@@ -228,7 +228,7 @@ class Groups:
             self.few.indices, few.indices
         )
 
-    def stacked(self, design: FewEach) -> tuple[Floats, Floats]:
+    def stacked(self, design: SparseDesign) -> tuple[Floats, Floats]:
         """Return rows of each group: of its own unknowns (g, d, s), of the border (g, d, c)."""
         (groups, size), border = self.own.shape, len(self.shared)
         flat = np.zeros(groups * self.depth * (size + border))
@@ -243,7 +243,7 @@ class Groups:
 
 
 @dataclass(frozen=True, eq=False)
-class Bordered(Kernel):
+class BorderedKernel(Kernel):
     """The kernel of a design whose unknowns fall into groups and a border, see above.
 
     ``basis`` (g, d, s): Q, and ``inverse`` (g, s, s): R^-1 of each group. ``tied`` (g s, m):
@@ -254,7 +254,7 @@ class Bordered(Kernel):
     what rows feel of ``columns``.
     """
 
-    design: FewEach
+    design: SparseDesign
     directions: Floats
     groups: Groups
     basis: Floats
@@ -265,7 +265,9 @@ class Bordered(Kernel):
     low: Floats
 
     @classmethod
-    def of(cls, design: FewEach, groups: Groups, open_: float = OPEN) -> Bordered | None:
+    def of(
+        cls, design: SparseDesign, groups: Groups, open_: float = OPEN
+    ) -> BorderedKernel | None:
         """Return that of a whitened ``design``; None where most of its blocks are not firm.
 
         Those few that are not join the border, of which a share ``open_`` determines nothing.
@@ -384,7 +386,7 @@ class Bordered(Kernel):
         basis = np.where(mine[:, None], self.basis[number, line], 0.0)
         each = np.where(mine, number, len(self.basis) + place)  # known rows are alone
         group = np.unique(each, return_inverse=True)[1]
-        at = group, within(group)
+        at = group, index_within_group(group)
         shape = [int(k.max()) + 1 for k in at]
 
         def stacked(values: Floats) -> Floats:
@@ -401,7 +403,7 @@ class Bordered(Kernel):
         lack = np.zeros((weak.size, int(weak.sum())))
         lack[np.flatnonzero(weak), np.arange(lack.shape[1])] = np.sqrt(taken[weak])
         sign = np.append(self._signs, np.ones(lack.shape[1]))
-        squares, rank = squares_beside(turned[:, 0], np.hstack([turned[:, 1:], lack]), sign)
+        squares, rank = squares_outside(turned[:, 0], np.hstack([turned[:, 1:], lack]), sign)
         return squares, rank - weak.size + len(rows)
 
     @cached_property
@@ -469,7 +471,7 @@ class Bordered(Kernel):
             return super().covariance_of(outputs)
         near, root, core = parts
         found, own = (root @ core) @ root.T, coo_array(near @ near.T)
-        found[own.coords] += own.data
+        found[own.row, own.col] += own.data
         return np.asarray(found)
 
     def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
@@ -618,7 +620,8 @@ def _apart(
     while alone.any():
         inside = alone[column]
         ones = np.ones(int(inside.sum()))
-        graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
+        # a matrix, not an array: of 64-bit indices scipy 1.11 makes labels that are wrong
+        graph = coo_matrix((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
         label = connected_components(graph, directed=False)[1]
         groups, group = np.unique(label[n:][alone], return_inverse=True)
         if len(groups) > 1:
@@ -669,7 +672,7 @@ def _triangle(matrix: Floats) -> Floats:
     return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
-def within(group: Ints) -> Ints:
+def index_within_group(group: Ints) -> Ints:
     """Return which one of its group each member (k,) is, from 0."""
     order = np.argsort(group, kind="stable")
     sizes = np.bincount(group)

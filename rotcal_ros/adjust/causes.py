@@ -1,7 +1,7 @@
 """What is wrong with observations: a robust start, the noise, and explanations one by one.
 
-:func:`found_causes` goes on until nothing significant is left unexplained. In each round a
-:class:`~.look.Look` at the solution asks for explanations. The most probable goes first:
+:func:`diagnose_causes` goes on until nothing significant is left unexplained. In each round a
+:class:`~.look.SolutionView` at the solution asks for explanations. The most probable goes first:
 observations are left out, an effect becomes an unknown. What explains nearly as much is
 remembered, and the difference it makes joins the covariance.
 """
@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.diagnosis import Contest, Diagnosis, Explanation, Limits, Noise
+from rotcal_ros.adjust.diagnosis import ContestedExplanation, Diagnosis, Explanation, Limits, Noise
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.judgement import ALIKE
-from rotcal_ros.adjust.look import Look
+from rotcal_ros.adjust.look import SolutionView
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.noise import (
     LEAST_FACTOR,
@@ -29,8 +29,8 @@ from rotcal_ros.adjust.noise import (
     UNKNOWN,
     EstimatedFactors,
     NoiseEvidence,
-    bent_squares,
     estimate_factors,
+    robust_squares,
 )
 from rotcal_ros.adjust.robust_start import robust_start
 from rotcal_ros.adjust.scattering import FLOOR
@@ -50,7 +50,7 @@ GENEROUSLY: Final = 3.0
 """Times what few effects explain each that they may explain together."""
 
 
-def found_causes(model: Model, limits: Limits) -> Diagnosis:
+def diagnose_causes(model: Model, limits: Limits) -> Diagnosis:
     """Return what is believed when nothing significant is left unexplained.
 
     Gross errors wait outside from the start, and come back where they agree after all, or where
@@ -64,7 +64,7 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
     return _with_scatter(whole, explained)
 
 
-def started(model: Model, limits: Limits) -> Diagnosis:
+def start_diagnosis(model: Model, limits: Limits) -> Diagnosis:
     """Return where the adjustment starts: gross errors wait outside, nothing else is judged."""
     start, gross = robust_start(model, limits)
     return _outside(Diagnosis(model, limits, Noise(np.ones(len(model.components))), start), gross)
@@ -100,7 +100,7 @@ def _least_sizes(diagnosis: Diagnosis, sizes: Sequence[float]) -> list[float]:
         return found
     calm = replace(diagnosis, model=model.scattered(least))
     limit = diagnosis.limits.of_each_effect(model)
-    look = Look(calm, calm.fitted(np.ones(len(model.components)), fit.x))
+    look = SolutionView(calm, calm.fitted(np.ones(len(model.components)), fit.x))
     for best, *others in look.effects:
         assert best.effect is not None
         errors = np.where(fit.used[:, None], best.columns / fit.std[:, None], 0.0)
@@ -146,7 +146,7 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
     chosen = Explanation(best.describe(), join_texts(()), none, nothing, 0.0, 0.0, 0.0 * change)
     rival = chosen._replace(what=other.describe(), support=-0.5 * apart, change=change)
-    return replace(best, contests=(*best.contests, Contest(chosen, (rival,))))
+    return replace(best, contests=(*best.contests, ContestedExplanation(chosen, (rival,))))
 
 
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
@@ -200,7 +200,7 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     ones = np.ones(len(diagnosis.model.components))
     for left in range(FEW_EFFECTS, 0, -1):
         fit = diagnosis.fitted(ones, diagnosis.start)
-        look = Look(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
+        look = SolutionView(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
         most = sum(sorted(look.squares)[-left:])
         if _excess(fit) > GENEROUSLY * most:
             return None
@@ -222,7 +222,7 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
 def _excess(fit: Fit) -> float:
     """Return by how much squared residuals exceed what noise as stated would make of them."""
     expected = float(fit.redundancy.sum())
-    squares = float(bent_squares(fit.white**2, fit.redundancy, CHECKED).sum())
+    squares = float(robust_squares(fit.white**2, fit.redundancy, CHECKED).sum())
     return squares - expected - 3.0 * float(np.sqrt(2.0 * expected))
 
 
@@ -233,7 +233,7 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         # what was judged before is judged anew: large groups are not kept twice
         gathering = replace(diagnosis.gathering, judgement=None)
         diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
-        look = Look(diagnosis, fit)
+        look = SolutionView(diagnosis, fit)
         diagnosis = look.diagnosis
         best = _first(look.significant(), diagnosis)
         if best is not None:
@@ -267,7 +267,7 @@ def _together(diagnosis: Diagnosis) -> Diagnosis | None:
             why = {row: text for row, text in diagnosis.why.items() if row not in back}
             price = diagnosis.price - _price(model, back)
             before = replace(diagnosis, why=why, price=price)
-            found = Look(before, before.fit).together(grouping.name_of(number))
+            found = SolutionView(before, before.fit).together(grouping.name_of(number))
             if found is None or not _bearable(before, found):
                 continue
             other = before.holding(found)
@@ -380,7 +380,7 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     """Return what the residuals say of each component of the noise."""
     model, squares, redundancy = fit.model, fit.white**2, fit.redundancy
     if bent:
-        squares = bent_squares(squares, redundancy, CHECKED)
+        squares = robust_squares(squares, redundancy, CHECKED)
     part, information = fit.redundancy_between
     present = part.any(axis=1) & ~model.of_scatter
     mine = (part * np.sqrt(squares) * np.sign(fit.white)).T

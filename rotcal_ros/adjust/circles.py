@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
-from rotcal_ros.adjust.kernels import Design, Kernel, Updated, dense
+from rotcal_ros.adjust.bordered import Groups, SparseDesign
+from rotcal_ros.adjust.kernels import Design, Kernel, LowRankUpdateKernel, dense
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -52,7 +52,7 @@ Orders: TypeAlias = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class CircleTurns:
     """Which places rows read: those of one turn read circles that are shifted alike.
 
     There are C circles of ``size`` N places each, whose unknowns come first, and s others. The row
@@ -68,7 +68,7 @@ class Turns:
     place: Ints
 
     @classmethod
-    def of(cls, rows: csr_array, circles: int, size: int) -> Turns | None:
+    def of(cls, rows: csr_array, circles: int, size: int) -> CircleTurns | None:
         """Return those of ``rows`` (n, p); None where turns are not nearly complete."""
         n, p = rows.shape
         if circles * size > p or not rows.nnz:
@@ -161,7 +161,7 @@ class Turns:
 
 
 @dataclass(frozen=True, eq=False)
-class Circular(Design):
+class CircularDesign(Design):
     """A design (n, p + q) of the rows of ``turns``, each times its ``weight`` (n,).
 
     ``few`` (n, p): those rows, weighted; ``extra`` (n, q): columns of further unknowns, too.
@@ -169,7 +169,7 @@ class Circular(Design):
     """
 
     few: csr_array
-    turns: Turns
+    turns: CircleTurns
     weight: Floats
     extra: Floats
     groups: Groups | None = None
@@ -177,13 +177,13 @@ class Circular(Design):
     divided = False
 
     @classmethod
-    def of(cls, rows: csr_array, circles: int, size: int) -> Circular | csr_array:
+    def of(cls, rows: csr_array, circles: int, size: int) -> CircularDesign | csr_array:
         """Return the design of ``rows`` (n, p), whose first unknowns are those of circles.
 
         These are ``circles`` of ``size`` places each. Where the turns are not nearly complete,
         the ``rows`` come back as they are: then they are solved as any others.
         """
-        turns = Turns.of(rows, circles, size)
+        turns = CircleTurns.of(rows, circles, size)
         n = rows.shape[0]
         return rows if turns is None else cls(rows, turns, np.ones(n), np.zeros((n, 0)))
 
@@ -207,7 +207,7 @@ class Circular(Design):
         own = np.bincount(self.few.indices, self.few.data**2, self.few.shape[1])
         return np.asarray(np.sqrt(np.append(own, (self.extra**2).sum(axis=0))))
 
-    def weighted(self, weight: Floats) -> Circular:
+    def weighted(self, weight: Floats) -> CircularDesign:
         """Return the same, its rows times ``weight`` (n,)."""
         few = csr_array(self.few, copy=True)
         few.data *= np.repeat(weight, np.diff(few.indptr))
@@ -231,10 +231,10 @@ class Circular(Design):
     def beside(self, rows: Floats | csr_array) -> Design:
         """Return the design with further ``rows`` (k, p) at its end, turns too where they can."""
         few = csr_array(vstack([self.few, csr_array(rows)], format="csr"))
-        found = Circular.of(few, self.turns.circles, self.turns.size)
-        return found if isinstance(found, Circular) else FewEach(self.few, dense(rows))
+        found = CircularDesign.of(few, self.turns.circles, self.turns.size)
+        return found if isinstance(found, CircularDesign) else SparseDesign(self.few, dense(rows))
 
-    def with_extra(self, columns: Floats) -> Circular:
+    def with_extra(self, columns: Floats) -> CircularDesign:
         """Return the design with the ``columns`` (n, q) of further unknowns."""
         return replace(self, extra=np.concatenate([self.extra, columns], axis=1))
 
@@ -264,15 +264,15 @@ class Circular(Design):
 
     def _kernel(self) -> Kernel | None:
         share, usual, odd = self.turns.shares(self.weight)
-        orders = ByOrder.of(self.turns, usual) if odd.sum() <= self.turns.few else None
+        orders = OrderwiseKernel.of(self.turns, usual) if odd.sum() <= self.turns.few else None
         if orders is None:
             if self.groups is None:
                 return None
             none = np.zeros((0, self.few.shape[1]))
-            return FewEach(self.few, none, self.extra, self.groups).kernel()
+            return SparseDesign(self.few, none, self.extra, self.groups).kernel()
         changed = self.turns.rows_of(*np.nonzero(odd)), (share - usual[:, None])[odd]
         plain = replace(self, extra=self.extra[:, :0])
-        return Updated.of(orders, plain, self.weight, changed, self.extra)
+        return LowRankUpdateKernel.of(orders, plain, self.weight, changed, self.extra)
 
     @property
     def rough_first(self) -> bool:  # type: ignore[override]
@@ -286,12 +286,12 @@ class Circular(Design):
         return self.turns.size >= LARGE
 
     @cached_property
-    def _iterated(self) -> Iterated | None:
-        return Iterated.of(self)
+    def _iterated(self) -> ConjugateGradients | None:
+        return ConjugateGradients.of(self)
 
     @cached_property
-    def _eliminated(self) -> Eliminated | None:
-        return Eliminated.of(self)
+    def _eliminated(self) -> EliminatedNormals | None:
+        return EliminatedNormals.of(self)
 
     @property
     def open_directions(self) -> Floats | None:
@@ -320,20 +320,23 @@ class Circular(Design):
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
         if not self.large and self._eliminated is not None:
             return False
-        mine, others = self._iterated, other._iterated if isinstance(other, Circular) else None
+        mine, others = (
+            self._iterated,
+            other._iterated if isinstance(other, CircularDesign) else None,
+        )
         if mine is None or others is None:
             return False
         bound = mine.extremes[1] * mine.orders.variances_of(outputs)
         least = mine.extremes[0] * others.orders.variances_of(outputs)
         return bool((bound <= (SURELY * factor) ** 2 * least).all())
 
-    def without_idle(self) -> Circular:
+    def without_idle(self) -> CircularDesign:
         """Return it without further unknowns that no row feels: they are none of the others."""
         return replace(self, extra=self.extra[:, self.extra.any(axis=0)])
 
 
 @dataclass(frozen=True, eq=False)
-class ByOrder(Kernel):
+class OrderwiseKernel(Kernel):
     """The kernel of rows of complete ``turns``, order by order; rows count with a weight of one.
 
     ``inverse`` (N // 2 + 1, C, C): the pseudo inverse of each order but 0; ``zero`` (C + s,
@@ -342,14 +345,14 @@ class ByOrder(Kernel):
     what nothing determines of them (l, C).
     """
 
-    turns: Turns
+    turns: CircleTurns
     inverse: Orders
     zero: Floats
     open: Floats
     lost: tuple[Ints, Orders]
 
     @classmethod
-    def of(cls, turns: Turns, share: Floats) -> ByOrder | None:
+    def of(cls, turns: CircleTurns, share: Floats) -> OrderwiseKernel | None:
         """Return that of rows with the squared weight ``share`` (t,) of their turn.
 
         None where an order is so badly determined that digits go.
@@ -635,7 +638,7 @@ def _of_unit_diagonal(square: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 @dataclass(frozen=True, eq=False)
-class Eliminated:
+class EliminatedNormals:
     """The normal equations of a circular design with any weights, circle by circle.
 
     No row reads two of the circles but the last one: their unknowns are taken out one by one,
@@ -648,11 +651,11 @@ class Eliminated:
     root: Floats
 
     @classmethod
-    def of(cls, design: Circular) -> Eliminated | None:
+    def of(cls, design: CircularDesign) -> EliminatedNormals | None:
         """Return those of a ``design``; None where it has extra columns, or they are not firm."""
         turns = design.turns
         count = (turns.circles - 1) * turns.size
-        plain = ByOrder.of(turns, np.ones(len(turns.sign)))
+        plain = OrderwiseKernel.of(turns, np.ones(len(turns.sign)))
         if design.extra.shape[1] or plain is None:
             return None
         first, last = design.few[:, :count], design.few[:, count:]
@@ -674,7 +677,7 @@ class Eliminated:
             return None
         return cls(own, csr_array(over), np.asarray(np.tril(root)) * scale[:, None])
 
-    def solved(self, design: Circular, read: Floats) -> Floats:
+    def solved(self, design: CircularDesign, read: Floats) -> Floats:
         """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened."""
         asked, count = design.adjoint(read), len(self.own)
         left = asked[count:] - self.shared.T @ asked[:count]
@@ -691,22 +694,22 @@ class Eliminated:
 
 
 @dataclass(frozen=True, eq=False)
-class Iterated:
+class ConjugateGradients:
     """The normal equations of a circular ``design`` with any weights, by iteration.
 
     Conjugate gradients, led by the ``orders`` of complete turns of the mean weight.
     """
 
-    design: Circular
-    orders: ByOrder
+    design: CircularDesign
+    orders: OrderwiseKernel
 
     @classmethod
-    def of(cls, design: Circular) -> Iterated | None:
+    def of(cls, design: CircularDesign) -> ConjugateGradients | None:
         """Return those of a ``design``; None where it has extra columns, or is not firm."""
         turns = design.turns
         if design.extra.shape[1]:
             return None
-        orders = ByOrder.of(turns, turns.shares(design.weight)[0].mean(axis=1))
+        orders = OrderwiseKernel.of(turns, turns.shares(design.weight)[0].mean(axis=1))
         return None if orders is None else cls(design, orders)
 
     @cached_property
@@ -716,7 +719,7 @@ class Iterated:
     def _normal(self, x: Floats) -> Floats:
         return self.design.turns.normal_times(self._share, x)
 
-    def solved(self, design: Circular, read: Floats) -> Floats | None:
+    def solved(self, design: CircularDesign, read: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened.
 
         None where the iteration does not converge.

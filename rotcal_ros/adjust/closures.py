@@ -1,8 +1,8 @@
 """Closures: what outputs are known to keep, as a table that comes to an angle again.
 
 :func:`closures` compares positions at one angle. What a model declares (``KnownRelation``) is
-tested by :class:`Closed`: m = K y of the outputs with covariance V is beside all residuals, so
-that an effect A, which makes K B A of it, is told by both: S = A'RA + (KBA)'V^-1 KBA.
+tested by :class:`ClosureTest`: m = K y of the outputs with covariance V is beside all residuals,
+so that an effect A, which makes K B A of it, is told by both: S = A'RA + (KBA)'V^-1 KBA.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf, normal_isf
-from rotcal_ros.adjust.effects import Observable, ObservableFamily
+from rotcal_ros.adjust.effects import ObservableEffect, ObservableFamily
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Disturbing, KnownRelation, Steps
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -59,14 +59,14 @@ def closures(
     (m,). ``upward`` (m,): from which side the table came; what differs between the sides is a
     reversal.
     """
-    pairs = np.array([*coming_again(angles, upward)], dtype=np.int64).reshape(-1, 2)
+    pairs = np.array([*repeated_angles(angles, upward)], dtype=np.int64).reshape(-1, 2)
     std = np.sqrt(difference_variance(covariance, pairs[:, 0], pairs[:, 1]))
     apart = deviations[pairs[:, 1]] - deviations[pairs[:, 0]]
     each = zip(position_ids[pairs].tolist(), apart.tolist(), std.tolist(), strict=True)
     return tuple(Closure(first, last, error, own) for (first, last), error, own in each)
 
 
-def coming_again(angles: Floats, upward: Bools | None = None) -> Iterator[tuple[int, int]]:
+def repeated_angles(angles: Floats, upward: Bools | None = None) -> Iterator[tuple[int, int]]:
     """Yield which of the ``angles`` (m,), rad, comes first, and which is the same again.
 
     ``upward`` (m,): from which side each is reached; None: that is no matter.
@@ -84,7 +84,7 @@ def coming_again(angles: Floats, upward: Bools | None = None) -> Iterator[tuple[
 
 
 @dataclass(frozen=True, eq=False)
-class Closed:
+class ClosureTest:
     """How a ``relation`` of outputs is kept in a ``fit``, whose uncertainties are times ``scale``.
 
     ``dof``: degrees of freedom from which the noise was estimated.
@@ -132,8 +132,8 @@ class Closed:
         return f_sf(squares / rank, rank, self.dof)
 
     def beside(
-        self, effect: Disturbing, seen: Observable | ObservableFamily
-    ) -> Observable | ObservableFamily:
+        self, effect: Disturbing, seen: ObservableEffect | ObservableFamily
+    ) -> ObservableEffect | ObservableFamily:
         """Return what is ``seen`` of an ``effect`` with what this tells of it."""
         columns = effect.at(self.fit.computed)
         by = np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
@@ -147,7 +147,7 @@ class Closed:
         else:
             written = columns.whole() if isinstance(columns, Steps) else columns
             moved = (written.T @ influence.T).reshape(-1, effect.width, len(white))
-        if isinstance(seen, Observable):
+        if isinstance(seen, ObservableEffect):
             flat = moved.reshape(-1, len(white))
             information, score = seen.information + flat @ flat.T, seen.score + flat @ white
             return replace(seen, information=information, score=score)

@@ -8,8 +8,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
-from rotcal_ros.adjust.kernels import Design, WholeMatrix
+from rotcal_ros.adjust.bordered import Groups, SparseDesign
+from rotcal_ros.adjust.kernels import DenseDesign, Design
 from rotcal_ros.foundation.arrays import Floats
 
 Derivatives: TypeAlias = "Floats | csr_array | Design"
@@ -19,17 +19,17 @@ FEW: Final = 120
 """Unknowns below which the whole of them is quicker."""
 
 
-def design_of(found: Derivatives, groups: Groups | None = None) -> Design:
+def make_design(found: Derivatives, groups: Groups | None = None) -> Design:
     """Return the design of derivatives; ``groups``: into which they fall, if they are those."""
     if isinstance(found, csr_array):
         if found.shape[1] < FEW:
-            return WholeMatrix(found.toarray())
-        found = FewEach(found, np.zeros((0, found.shape[1])))
-    if isinstance(found, FewEach):
+            return DenseDesign(found.toarray())
+        found = SparseDesign(found, np.zeros((0, found.shape[1])))
+    if isinstance(found, SparseDesign):
         return replace(found, groups=groups)
-    return found if isinstance(found, Design) else WholeMatrix(np.asarray(found))
+    return found if isinstance(found, Design) else DenseDesign(np.asarray(found))
 
 
 def dense(found: Derivatives) -> Floats:
     """Return derivatives as a whole matrix (n, p)."""
-    return design_of(found).dense()
+    return make_design(found).dense()

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rotcal_ros.adjust.distributions import chi2_isf, normal_isf, sidak
-from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.fit import Fit, fit_model
 from rotcal_ros.adjust.gathering import Gathering
-from rotcal_ros.adjust.judgement import Blame
+from rotcal_ros.adjust.judgement import BlamedSubset
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import EstimatedFactors
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -84,11 +84,11 @@ class Explanation(NamedTuple):
     effect: Disturbing | None = None
     mixing: Floats | None = None
     probability: float = 0.0
-    blamed: Blame | None = None
+    blamed: BlamedSubset | None = None
     hidden: Floats | None = None
 
 
-class Contest(NamedTuple):
+class ContestedExplanation(NamedTuple):
     """An explanation that was taken for true, and others that are nearly as probable."""
 
     best: Explanation
@@ -110,7 +110,7 @@ class Diagnosis:
     gathering: Gathering = field(default_factory=Gathering)
     why: dict[int, Phrase] = field(default_factory=dict)
     nuisance: tuple[Explanation, ...] = ()
-    contests: tuple[Contest, ...] = ()
+    contests: tuple[ContestedExplanation, ...] = ()
     price: float = 0.0
 
     @property
@@ -129,7 +129,7 @@ class Diagnosis:
             [np.zeros((len(self.used), 0)), *(e.columns for e in self.nuisance)]
         )
         std = self.model.std * factors[self.model.of_component]
-        return fitted(self.model, self.used, std, start, extra)
+        return fit_model(self.model, self.used, std, start, extra)
 
     @cached_property
     def fit(self) -> Fit:
@@ -187,7 +187,11 @@ class Diagnosis:
 
     def holding(self, found: Explanation, rivals: Sequence[Explanation] = ()) -> Diagnosis:
         """Return the diagnosis that ``found`` is true, and that its ``rivals`` are possible."""
-        contests = (*self.contests, Contest(found, tuple(rivals))) if rivals else self.contests
+        contests = (
+            (*self.contests, ContestedExplanation(found, tuple(rivals)))
+            if rivals
+            else self.contests
+        )
         here = replace(self, contests=contests, price=self.price + found.price)
         if found.effect is not None:
             return replace(here, nuisance=(*here.nuisance, found))
@@ -198,11 +202,11 @@ class Diagnosis:
         return replace(here, why=self.why | reasons, gathering=gathering)
 
     @property
-    def open_contests(self) -> tuple[Contest, ...]:
+    def open_contests(self) -> tuple[ContestedExplanation, ...]:
         """The contests without rivals that were taken for true as well, later on."""
         taken = [e.what for e in self.nuisance]
         remaining = (
-            Contest(c.best, tuple(e for e in c.rivals if not self._holds(e, taken)))
+            ContestedExplanation(c.best, tuple(e for e in c.rivals if not self._holds(e, taken)))
             for c in self.contests
         )
         return tuple(contest for contest in remaining if contest.rivals)

@@ -63,7 +63,7 @@ def binomial_quantile(probability: float, trials: int, chance: float) -> int:
 
 
 @lru_cache(maxsize=256)
-def detected(limit: float, power: float, dof: float = np.inf) -> float:
+def detectable_size(limit: float, power: float, dof: float = np.inf) -> float:
     """Return the size, in standard deviations, that a test finds with the probability ``power``.
 
     ``limit``: beyond it a standard normal number is found; where the standard deviation is

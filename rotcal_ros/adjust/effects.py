@@ -49,18 +49,18 @@ HARMLESS: Final = 0.1
 """Error, in standard uncertainties, of what cannot be separated from nothing."""
 
 
-class Movements(Protocol):
+class EffectOnOutputs(Protocol):
     """What each of some columns does to o outputs, worked out when it is asked for."""
 
     def __getitem__(self, which: slice) -> Floats:
         """Return what some of them do, (m, o)."""
 
     def worst(self, std: Floats, *roots: Floats) -> list[Floats]:
-        """Return as :func:`worst_of`."""
+        """Return as :func:`worst_combined_effect`."""
 
 
 @dataclass(frozen=True, eq=False)
-class Observable:
+class ObservableEffect:
     """What the solution makes of k columns of errors, each of unit size.
 
     ``moved`` (k, o): what they do to the outputs. ``information`` (k, k): S, what of them is left
@@ -82,24 +82,24 @@ class ObservableFamily:
     (k - 1, w, w) between it and the next; ``score``, ``whole`` (k, w).
     """
 
-    moved: Floats | Movements
+    moved: Floats | EffectOnOutputs
     information: Floats
     beside: Floats
     score: Floats
     whole: Floats
 
-    def member(self, k: int) -> Observable:
+    def member(self, k: int) -> ObservableEffect:
         """Return what is seen of one member."""
         w = self.score.shape[1]
         moved = self.moved[k * w : (k + 1) * w]
-        return Observable(moved, self.information[k], self.score[k], self.whole[k])
+        return ObservableEffect(moved, self.information[k], self.score[k], self.whole[k])
 
-    def column(self, j: int) -> Observable:
+    def column(self, j: int) -> ObservableEffect:
         """Return what is seen of one column of a member alone."""
         k, way = divmod(j, self.score.shape[1])
         at = slice(way, way + 1)
         information, score = self.information[k, at, at], self.score[k, at]
-        return Observable(self.moved[j : j + 1], information, score, self.whole[k, at])
+        return ObservableEffect(self.moved[j : j + 1], information, score, self.whole[k, at])
 
     @cached_property
     def roots(self) -> tuple[Floats, Floats]:
@@ -139,7 +139,9 @@ class ObservableFamily:
         return np.asarray(np.cos(np.sqrt((turned**2 * there).sum(axis=1) / count)))
 
 
-def worst_of(moved: Floats | Movements, std: Floats, *roots: Floats) -> list[Floats]:
+def worst_combined_effect(
+    moved: Floats | EffectOnOutputs, std: Floats, *roots: Floats
+) -> list[Floats]:
     """Return the most (k,) that combinations of the columns of each member do to an output.
 
     ``roots`` (k, w, r): the combinations, in which each output adds up squares; in the ``std``
@@ -191,7 +193,7 @@ def expected_weights(seen: ObservableFamily, size: float, probability: float) ->
 
 
 def effect_test(
-    seen: Observable,
+    seen: ObservableEffect,
     rest: tuple[float, float] | None = None,
     largest: float = np.inf,
 ) -> EffectTest:
@@ -227,10 +229,10 @@ def chance_in_family(alone: EffectTest, seen: ObservableFamily) -> float:
     if not alone.rank:
         return 1.0
     u = normal_isf(max(0.5 * alone.probability, NOTHING))
-    return min(above_of_family(u, seen.alike, seen.rank), 1.0)
+    return min(family_exceedance(u, seen.alike, seen.rank), 1.0)
 
 
-def hidden_beside(test: EffectTest, seen: Observable) -> Floats:
+def unresolved_sizes(test: EffectTest, seen: ObservableEffect) -> Floats:
     """Return what sizes that leave no residual do, (o + a, s): as large as the others, s ways.
 
     Of a move of which residuals show some ways alone the others are as probable. So few ways show
@@ -255,7 +257,7 @@ def chance_beside_scatter(
     return float(weight @ each)
 
 
-def _axes(seen: Observable) -> tuple[Floats, Floats, Floats]:
+def _axes(seen: ObservableEffect) -> tuple[Floats, Floats, Floats]:
     """Return combinations (k, rank) of the columns that leave residuals, and their information.
 
     And the combinations (k, k - rank) that leave none. All columns count as of length one: S is
@@ -276,7 +278,7 @@ def _chance(squares: float, rank: int, variance: float, left: float) -> float:
     return f_sf(squares / rank / variance, rank, left)
 
 
-def above_of_family(u: float, alike: Floats, rank: Ints | None = None) -> float:
+def family_exceedance(u: float, alike: Floats, rank: Ints | None = None) -> float:
     """Return how probably the largest of a family exceeds by chance what is as rare as |u|.
 
     ``alike`` (k - 1,): correlations of neighbours; ``rank`` (k,): columns of each member, None: 1.
@@ -295,7 +297,7 @@ def above_of_family(u: float, alike: Floats, rank: Ints | None = None) -> float:
     return 2.0 * (above + min(crossings, len(alike) * above))
 
 
-class Undetected(NamedTuple):
+class LargestUndetected(NamedTuple):
     """The largest error that may stay unseen, in standard uncertainties of the outputs.
 
     ``found``: a larger effect is found with the stated power; else none larger was considered.
@@ -307,7 +309,7 @@ class Undetected(NamedTuple):
     hidden: bool = False
 
     @classmethod
-    def worst(cls, found_from: Floats, share: Floats, largest: float) -> Undetected:
+    def worst(cls, found_from: Floats, share: Floats, largest: float) -> LargestUndetected:
         """Return the worst of k effects of one column, none of which is larger than ``largest``.
 
         ``found_from`` (k,): size from which on a test finds each, infinite: none does;
@@ -326,15 +328,15 @@ class Undetected(NamedTuple):
         return "tested" if self.found else "not protected"
 
 
-def undetected(
-    seen: Observable,
+def largest_undetected(
+    seen: ObservableEffect,
     std: Floats,
     largest: float,
     *,
     significance: float,
     power: float,
     dof: float = np.inf,
-) -> Undetected:
+) -> LargestUndetected:
     """Return the worst that columns together do before their test finds them.
 
     ``std`` (o,) of the outputs, zero: one that does not count; ``largest``: a size that nobody
@@ -352,13 +354,13 @@ def undetected(
     bound = largest * np.linalg.norm(share, axis=0)
     error = np.minimum(shown + hidden, bound)
     if not error.size:
-        return Undetected(0.0, found=True)
+        return LargestUndetected(0.0, found=True)
     worst = int(np.argmax(error))
     found = hidden[worst] <= UNSEEN and shown[worst] <= bound[worst]
-    return Undetected(float(error[worst]), bool(found), bool(hidden[worst] > UNSEEN))
+    return LargestUndetected(float(error[worst]), bool(found), bool(hidden[worst] > UNSEEN))
 
 
-def undetected_family(
+def largest_undetected_of_family(
     seen: ObservableFamily,
     std: Floats,
     largest: float,
@@ -367,41 +369,48 @@ def undetected_family(
     power: float,
     dof: float = np.inf,
     usual: float = 1.0,
-) -> Undetected:
+) -> LargestUndetected:
     """Return the worst that one member of a family does before the test of all finds it.
 
-    Arguments as of :func:`undetected`. ``usual``: the worst of this share of the members alone.
+    Arguments as of :func:`largest_undetected`. ``usual``: the worst of this share of the members
+    alone.
     """
     k, w = seen.score.shape
     if not k:
-        return Undetected(0.0, found=True)
+        return LargestUndetected(0.0, found=True)
     whole = np.broadcast_to(largest * np.eye(w), (k, w, w))
     if dof - w < 1.0:
-        return Undetected(float(worst_of(seen.moved, std, whole)[0].max()), found=False)
-    chance = 2.0 * normal_sf(limit_of_family(significance, seen.alike, seen.rank))
+        return LargestUndetected(
+            float(worst_combined_effect(seen.moved, std, whole)[0].max()), found=False
+        )
+    chance = 2.0 * normal_sf(family_limit(significance, seen.alike, seen.rank))
     needed = {r: noncentrality(chance, power, r, dof - r) for r in set(seen.rank.tolist()) if r}
     root, silent = seen.roots
     found_from = np.sqrt([needed.get(r, 0.0) for r in seen.rank.tolist()])[:, None, None] * root
     ways, size, _ = np.linalg.svd(silent)
     hidden = largest * ways * (size > UNSEEN * size.max(axis=1, keepdims=True))[:, None]
-    shown, more, bound = worst_of(seen.moved, std, found_from, hidden, whole)
+    shown, more, bound = worst_combined_effect(seen.moved, std, found_from, hidden, whole)
     error = np.minimum(shown + more, bound)
     worst = int(np.argsort(-error, kind="stable")[k - max(int(np.ceil(usual * k)), 1)])
     known = seen.rank[worst] == w and shown[worst] <= bound[worst]
-    return Undetected(float(error[worst]), bool(known), bool(seen.rank[worst] < w))
+    return LargestUndetected(float(error[worst]), bool(known), bool(seen.rank[worst] < w))
 
 
-def _everything(share: Floats, largest: float) -> Undetected:
+def _everything(share: Floats, largest: float) -> LargestUndetected:
     """Return that an effect stays unseen up to its ``largest`` size: no residual is left.
 
     ``share`` (k, o): what k columns that are there together do to the outputs.
     """
-    return Undetected(largest * float(np.linalg.norm(share, axis=0).max(initial=0.0)), found=False)
+    return LargestUndetected(
+        largest * float(np.linalg.norm(share, axis=0).max(initial=0.0)), found=False
+    )
 
 
-def limit_of_family(significance: float, alike: Floats, rank: Ints | None = None) -> float:
+def family_limit(significance: float, alike: Floats, rank: Ints | None = None) -> float:
     """Return what the largest |score| of a family exceeds by chance with ``significance``."""
-    return root_between(lambda u: above_of_family(u, alike, rank) - significance, 0.0, 40.0, 1e-12)
+    return root_between(
+        lambda u: family_exceedance(u, alike, rank) - significance, 0.0, 40.0, 1e-12
+    )
 
 
 def _share(moved: Floats, std: Floats) -> Floats:

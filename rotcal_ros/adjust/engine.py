@@ -24,29 +24,29 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import gathering
-from rotcal_ros.adjust.causes import found_causes
-from rotcal_ros.adjust.closures import Closed
+from rotcal_ros.adjust.causes import diagnose_causes
+from rotcal_ros.adjust.closures import ClosureTest
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality, normal_sf, t_isf
 from rotcal_ros.adjust.effects import (
     COVERED,
-    Observable,
+    LargestUndetected,
+    ObservableEffect,
     ObservableFamily,
-    Undetected,
     effect_test,
     expected_weights,
     family_test,
-    undetected,
-    undetected_family,
+    largest_undetected,
+    largest_undetected_of_family,
 )
-from rotcal_ros.adjust.fit import Fit, fitted, require_determined
+from rotcal_ros.adjust.fit import Fit, fit_model, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model, Steps
 from rotcal_ros.adjust.noise import PRIOR
-from rotcal_ros.adjust.observable import seen_of
-from rotcal_ros.adjust.reliability import hidden
+from rotcal_ros.adjust.observable import observe_effect
+from rotcal_ros.adjust.reliability import largest_undetectable_shift
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.compact import (
     FULL,
@@ -198,7 +198,7 @@ class Adjusted:
         """What is probable but not proved does to the outputs, (o + a, k) per unit normal each."""
         found = list(self.diagnosis.possible())
         for effect, size, probability in self.model.expected:
-            seen = seen_of(self.fit, effect)
+            seen = observe_effect(self.fit, effect)
             assert isinstance(seen, ObservableFamily)
             weight = expected_weights(seen, size, probability)
             stride = -(-len(weight) * len(self.fit.value) // MOST_AT_ONCE)
@@ -293,21 +293,21 @@ class Adjusted:
         return float(np.sqrt(stated @ stated / fit.dof)) if fit.dof else 1.0
 
     @cached_property
-    def seen(self) -> list[tuple[Disturbing, Observable | ObservableFamily]]:
+    def seen(self) -> list[tuple[Disturbing, ObservableEffect | ObservableFamily]]:
         """What the solution makes of each declared effect, and closures beside it."""
         found = []
         for effect in self.model.effects:
-            seen = seen_of(self.fit, effect)
+            seen = observe_effect(self.fit, effect)
             for closed in self.closed:
                 seen = closed.beside(effect, seen)
             found.append((effect, seen))
         return found
 
     @cached_property
-    def closed(self) -> tuple[Closed, ...]:
+    def closed(self) -> tuple[ClosureTest, ...]:
         """How the outputs keep what they are known to keep."""
         each = self.model.closures
-        return tuple(Closed(self.fit, known, self.scale, self.freedom) for known in each)
+        return tuple(ClosureTest(self.fit, known, self.scale, self.freedom) for known in each)
 
     @cached_property
     def doubts(self) -> tuple[Phrase, ...]:
@@ -478,7 +478,7 @@ class Adjusted:
                 {"effect": e.effect.effect, "what": e.what, "size": e.sizes, "std": e.std}
                 for e in self.found_effects
             ],
-            "gathering": gathering.details(self.diagnosis.gathering, "observations"),
+            "gathering": gathering.gathering_details(self.diagnosis.gathering, "observations"),
             **({"also": others} if further else {}),
         }
 
@@ -522,7 +522,7 @@ class PlanPrediction:
 
     std: Floats
     redundancy: Floats
-    undetected: dict[Effect, Undetected]
+    undetected: dict[Effect, LargestUndetected]
 
 
 def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
@@ -536,12 +536,12 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     # nothing is read yet that would tell ways to move apart
     correlated = [each.planned() for each in model.correlated]  # data would say what is likely
     exact = replace(model, observed=computed, correlated=correlated)
-    fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
+    fit = fit_model(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
     every_std = fit.noise_std
     std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _undetected(e, seen_of(fit, e), counting, each)
+        e.effect: _undetected(e, observe_effect(fit, e), counting, each)
         for e in model.effects
         if isinstance(e.columns, Steps) or e.whole(computed).any()
     }
@@ -555,7 +555,7 @@ def adjust(model: Model, limits: Limits = LIMITS) -> Adjusted:
     DataError where they contradict each other so much that nothing settles.
     """
     require_determined(model)
-    diagnosis = found_causes(model, limits)
+    diagnosis = diagnose_causes(model, limits)
     return Adjusted(diagnosis, diagnosis.fit)
 
 
@@ -576,7 +576,7 @@ def _doubts(found: Adjusted) -> Iterator[Phrase]:
             phrase("that {0} (1 : {1:.2g})", e.what, o) for e, o in zip(rivals, odds, strict=True)
         ]
         yield phrase(RIVALLED, best.what, join_texts(others))
-    yield from gathering.doubts(
+    yield from gathering.gathering_doubts(
         found.diagnosis.gathering, limits.gathered_share, limits.significance, model.words,
         model.unit,
     )  # fmt: skip
@@ -628,7 +628,7 @@ def _larger(found: Adjusted) -> Bools:
 def _protections(found: Adjusted) -> Iterator[Protection]:
     each = found.diagnosis.limits.of_each_effect(found.model)
     taken = [e.effect for e in found.diagnosis.nuisance if e.effect is not None]
-    worst: dict[Effect, tuple[Undetected, Disturbing]] = {}
+    worst: dict[Effect, tuple[LargestUndetected, Disturbing]] = {}
     for effect, seen in found.seen:
         if effect in taken and effect.family:
             continue
@@ -665,15 +665,15 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
 
 def _undetected(
     effect: Disturbing,
-    seen: Observable | ObservableFamily,
+    seen: ObservableEffect | ObservableFamily,
     std: Floats,
     significance: float,
     dof: float = np.inf,
-) -> Undetected:
+) -> LargestUndetected:
     size, limits = effect.largest, {"significance": significance, "power": POWER, "dof": dof}
     if isinstance(seen, ObservableFamily):
-        return undetected_family(seen, std, size, usual=effect.usual, **limits)
-    return undetected(seen, std, size, **limits)
+        return largest_undetected_of_family(seen, std, size, usual=effect.usual, **limits)
+    return largest_undetected(seen, std, size, **limits)
 
 
 def _against_noise(found: Adjusted) -> Protection:
@@ -752,7 +752,7 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
         yield Protection("one place", "not protected", why)
         return
     words, unit = found.model.words, found.model.unit
-    worst = hidden(
+    worst = largest_undetectable_shift(
         judgement, found.counting_std, SUSPECTED, POWER, LARGEST * float(found.model.std.max())
     )
     if worst is None:

@@ -30,8 +30,8 @@ import numpy as np
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.groups import Group
-from rotcal_ros.adjust.sensitivity import Moment
-from rotcal_ros.adjust.subsets import LEAST, bounds, distinct, most_of
+from rotcal_ros.adjust.sensitivity import ErrorMoments
+from rotcal_ros.adjust.subsets import LEAST, distinct_subsets, largest_wrong_count, run_bounds
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 SIZES: Final[Floats] = np.array([0.5, 2.0, 8.0, 32.0, 128.0])
@@ -106,7 +106,7 @@ class Hypotheses:
         """Return ln B (q, t) for the prior standard deviations SIZES (t,)."""
         return log_bayes(self.values, self.along)
 
-    def moment(self, weights: Floats) -> Moment:
+    def moment(self, weights: Floats) -> ErrorMoments:
         """Return what the rows are off by, and its square, in sums over all of them.
 
         ``weights`` (q, t): posterior probabilities.
@@ -121,10 +121,10 @@ class Hypotheses:
         mix = self.mixing()
         flat = mix.reshape(len(mix), -1)
         spread = (mix.swapaxes(0, 1) @ second).swapaxes(0, 1).reshape(flat.shape)
-        return Moment(self.group.sensitivity, flat @ first.ravel(), spread @ flat.T)
+        return ErrorMoments(self.group.sensitivity, flat @ first.ravel(), spread @ flat.T)
 
 
-def log_bayes_of_each(found: Sequence[Hypotheses]) -> list[Floats]:
+def log_bayes_of_groups(found: Sequence[Hypotheses]) -> list[Floats]:
     """Return ln B (q, t) of each, those with as many sizes at once."""
     logs, alike = dict[int, Floats](), dict[int, list[int]]()
     for k, each in enumerate(found):
@@ -145,23 +145,25 @@ def log_bayes(values: Floats, along: Floats) -> Floats:
     return np.asarray(0.5 * (gain - np.log(grown)).sum(axis=1))
 
 
-def shifts(group: Group, subsets: Bools) -> Hypotheses:
+def shift_hypotheses(group: Group, subsets: Bools) -> Hypotheses:
     """Return that each of the ``subsets`` (q, e) is off by the same along each axis."""
     large = group.residual.shape[1] == 1 and group.size >= LARGE
     square, score = (_of_runs if large else _of_any)(group, subsets)
     found = _along_axes(group, subsets, *_own_axes(square, score))
     if not large:
         return found
-    where = bounds(subsets)
+    where = run_bounds(subsets)
     return replace(found, times=lambda matrix: _times_runs(group, subsets, where, matrix))
 
 
-def shifts_of_each(groups: Sequence[Group], subsets: Sequence[Bools]) -> list[Hypotheses]:
-    """Return :func:`shifts` of each group, those of one size with one axis at once."""
+def shift_hypotheses_of_groups(
+    groups: Sequence[Group], subsets: Sequence[Bools]
+) -> list[Hypotheses]:
+    """Return :func:`shift_hypotheses` of each group, those of one size with one axis at once."""
     found, alike = dict[int, Hypotheses](), dict[int, list[int]]()
     for k, group in enumerate(groups):
         if group.residual.shape[1] > 1 or group.size >= LARGE:
-            found[k] = shifts(group, subsets[k])
+            found[k] = shift_hypotheses(group, subsets[k])
         else:
             alike.setdefault(group.size, []).append(k)
     for size, every in alike.items():
@@ -202,7 +204,7 @@ def _of_any(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
 
 def _of_runs(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
     """Return the same of elements with one axis, of runs by differences of leading sums."""
-    (first, end, run), sums = bounds(subsets), group.leading
+    (first, end, run), sums = run_bounds(subsets), group.leading
     square = sums[end, end] - 2.0 * sums[first, end] + sums[first, first]
     scores = np.append(0.0, group.score.cumsum())
     square, score = square[:, None, None], (scores[end] - scores[first])[:, None]
@@ -215,7 +217,7 @@ def _times_runs(
 ) -> Floats:
     """Return a ``matrix`` (r, e) times unit shifts of elements with one axis, (r, q, 1).
 
-    ``where``: the :func:`~.subsets.bounds` of the subsets.
+    ``where``: the :func:`~.subsets.run_bounds` of the subsets.
     """
     first, end, run = where
     unit = matrix * group.relative[:, 0]
@@ -250,13 +252,13 @@ def _own_axes(square: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
     return np.maximum(values, 0.0), along, vectors
 
 
-def scatter(group: Group) -> Hypotheses:
+def scatter_hypothesis(group: Group) -> Hypotheses:
     """Return that all rows of the ``group`` are noisier, each by itself."""
     values, along = group.along_axes
     return Hypotheses(values[None], along[None], lambda: group.axes[1][:, None], group)
 
 
-def free(group: Group, subset: Bools) -> Hypotheses:
+def free_errors(group: Group, subset: Bools) -> Hypotheses:
     """Return that the elements of one ``subset`` (e,) are off together, and each by itself."""
     c = group.residual.shape[1]
     k = int(subset.sum())
@@ -283,7 +285,7 @@ def _free_mixing(k: int, c: int) -> Floats:
     return mixing
 
 
-def without(group: Group, subset: Bools) -> Floats:
+def output_change_without(group: Group, subset: Bools) -> Floats:
     """Return what the outputs (o,) change by when a ``subset`` (e,) is left out."""
     rows = np.broadcast_to(subset[:, None], group.residual.shape).ravel()
     n = group.residual.size
@@ -300,53 +302,56 @@ def log_sum(logs: Floats) -> Floats:
     return np.asarray(largest + np.log(np.exp(logs - largest[..., None]).sum(axis=-1)))
 
 
-def any_subset(size: int, count: Floats) -> Floats:
+def log_prior_of_subset(size: int, count: Floats) -> Floats:
     """Return ln of the prior of one subset with ``count`` of ``size`` elements, any as probable.
 
     First the count is drawn from LEAST to half of them, then which they are.
     """
     chosen = gammaln(size + 1.0) - gammaln(count + 1.0) - gammaln(size - count + 1.0)
-    return np.asarray(-chosen - np.log(max(most_of(size) - LEAST + 1, 1)))
+    return np.asarray(-chosen - np.log(max(largest_wrong_count(size) - LEAST + 1, 1)))
 
 
-def search(group: Group, most: int = 12) -> Bools:
+def search_subsets(group: Group, most: int = 12) -> Bools:
     """Return the subsets (q, e) whose shift explains the residuals best, the best first.
 
     Forward search with exchange: from the best gathered subset, the largest elements of either
     sign, and halves ordered by residual, elements are taken in and put back, each time the one
-    that gains most, as long as the Bayes factor times the prior of :func:`any_subset` grows.
+    that gains most, as long as the Bayes factor times the prior of :func:`log_prior_of_subset`
+    grows.
     """
     part = _starts(group)
     if not len(part):
         return part
     each = np.arange(len(part))
     for _ in range(MOST_STEPS):
-        value = _merit(shifts(group, part), part)
+        value = _merit(shift_hypotheses(group, part), part)
         flipped = _flipped(group, part)
         best = np.argmax(flipped, axis=1)
         better = flipped[each, best] > value + 1e-9
         if not better.any():
             break
         part[each[better], best[better]] ^= True
-    part = distinct(part)
-    rank = np.argsort(-_merit(shifts(group, part), part), kind="stable")
+    part = distinct_subsets(part)
+    rank = np.argsort(-_merit(shift_hypotheses(group, part), part), kind="stable")
     return np.asarray(part[rank[:most]])
 
 
 def _merit(found: Hypotheses, part: Bools) -> Floats:
     count = part.sum(axis=1).astype(np.float64)
-    return np.asarray(log_sum(found.log_bayes()) + any_subset(part.shape[1], count))
+    return np.asarray(log_sum(found.log_bayes()) + log_prior_of_subset(part.shape[1], count))
 
 
 def _flipped(group: Group, subsets: Bools) -> Floats:
     """Return the merit (q, e) of every subset with one element taken in or put back."""
     e = subsets.shape[1]
     count = subsets.sum(axis=1)[:, None] + np.where(subsets, -1, 1)
-    value = log_sum(shifts_flipped(group, subsets)) + any_subset(e, count.astype(np.float64))
-    return np.where((count >= LEAST) & (count <= most_of(e)), value, -np.inf)
+    value = log_sum(log_bayes_of_flips(group, subsets)) + log_prior_of_subset(
+        e, count.astype(np.float64)
+    )
+    return np.where((count >= LEAST) & (count <= largest_wrong_count(e)), value, -np.inf)
 
 
-def shifts_flipped(group: Group, subsets: Bools) -> Floats:
+def log_bayes_of_flips(group: Group, subsets: Bools) -> Floats:
     """Return ln B (q, e, t) of shifts of each of the ``subsets`` (q, e) but for one element.
 
     Which is taken in, or put back.
@@ -366,7 +371,7 @@ def shifts_flipped(group: Group, subsets: Bools) -> Floats:
 class FreeExchange:
     """The Bayes factors of free subsets that differ from one in a single element, all at once.
 
-    As of :func:`free`, where each costs the cube of the elements; here all cost the square.
+    As of :func:`free_errors`, where each costs the cube of the elements; here all cost the square.
     Of a subset T of k elements with own errors of variance v = (OWN t)^2, M = W + I / v and
     P = (M_TT)^-1, the common shift keeps the information G = k I / v - 1'P1 / v^2 and the score
     h = 1'Ps / v:
@@ -428,19 +433,19 @@ def _squared(score: Floats, information: Floats) -> Floats:
 
 def _starts(group: Group) -> Bools:
     """Return subsets (q, e) to search from."""
-    e, most = group.size, most_of(group.size)
+    e, most = group.size, largest_wrong_count(group.size)
     if most < LEAST:
         return np.zeros((0, e), dtype=np.bool_)
     found = []
     if len(group.gathered):
-        merit = log_sum(shifts(group, group.gathered).log_bayes())
+        merit = log_sum(shift_hypotheses(group, group.gathered).log_bayes())
         found.append(group.gathered[np.argsort(-merit, kind="stable")[:3]])
     counts = {LEAST, max(most // 2, LEAST), most}
     for axis in group.score.T:
         order = np.argsort(axis, kind="stable")
         for count in sorted(counts):
             found += [_members(order[:count], e), _members(order[-count:], e)]
-    return distinct(*found)
+    return distinct_subsets(*found)
 
 
 def _members(which: Ints, size: int) -> Bools:
@@ -449,7 +454,7 @@ def _members(which: Ints, size: int) -> Bools:
     return part
 
 
-def studentised(group: Group, variance: float) -> Group:
+def rescale_to_variance(group: Group, variance: float) -> Group:
     """Return ``group`` as seen with noise of ``variance`` per whitened unit."""
     root, (values, along) = float(np.sqrt(variance)), group.along_axes
     return replace(

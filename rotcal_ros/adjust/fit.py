@@ -9,12 +9,25 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag, lapack
 
-from rotcal_ros.adjust.effects import Observable, ObservableFamily
+from rotcal_ros.adjust.effects import ObservableEffect, ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
-from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
+from rotcal_ros.adjust.kernels import (
+    FIRM,
+    OPEN,
+    ConstrainedKernel,
+    DenseKernel,
+    Design,
+    Kernel,
+    fix_open_directions,
+)
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.outputs import FEW_ROWS, Outputs
-from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
+from rotcal_ros.adjust.scattering import (
+    PosteriorSizes,
+    Scattering,
+    enlargement_factors,
+    join_scatters,
+)
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.compact import CompactCovariance
@@ -113,7 +126,7 @@ class Fit:
         return np.where(self.used, self.residual / self.std, 0.0)
 
     @cached_property
-    def seen(self) -> dict[Disturbing, Observable | ObservableFamily]:
+    def seen(self) -> dict[Disturbing, ObservableEffect | ObservableFamily]:
         """What it makes of effects that were asked for: they are again and again."""
         return {}
 
@@ -191,7 +204,7 @@ class Fit:
     def value(self) -> Floats:
         """All outputs (o + a,)."""
         x = self.x
-        if self.model.definitions is not None and isinstance(self.kernel, Defined):
+        if self.model.definitions is not None and isinstance(self.kernel, ConstrainedKernel):
             x = self.kernel.defined(x)  # the quickest steps do not know them
         return self.model.output_rows.times(x)
 
@@ -229,7 +242,7 @@ class Fit:
         return [(each.rows, spread) for each, (_, spread) in every]
 
     @cached_property
-    def sizes(self) -> dict[Scattering, Sizes]:
+    def sizes(self) -> dict[Scattering, PosteriorSizes]:
         """What is believed of each scatter of the model."""
         return {each: each.sizes(self) for each in self.model.scatterings}
 
@@ -245,8 +258,8 @@ class Fit:
                 every.append((each.variances(sizes, alone, std), sizes.weight))
         if all(len(weight) == 1 for _, weight in every):
             return np.ones(len(fixed))
-        variances, weight = joined(every, np.random.default_rng(0))
-        return enlargement(np.maximum(fixed, 0.0), self.variance, variances, weight)
+        variances, weight = join_scatters(every, np.random.default_rng(0))
+        return enlargement_factors(np.maximum(fixed, 0.0), self.variance, variances, weight)
 
     def response_to(self, asked: Floats) -> Floats:
         """Return what whitened errors do to combinations ``asked`` (k, o) of the outputs, (k, n).
@@ -445,10 +458,10 @@ def _defined(model: Model, kernel: Kernel) -> Kernel:
     """Return the kernel of outputs that keep what is defined."""
     if model.definitions is None or not kernel.directions.shape[1]:
         return kernel
-    return Defined.of(kernel, model.definitions)
+    return ConstrainedKernel.of(kernel, model.definitions)
 
 
-def fitted(
+def fit_model(
     model: Model,
     used: Bools,
     std: Floats,
@@ -621,12 +634,12 @@ class _Steps:
     @cached_property
     def _fixing(self) -> tuple[Floats, Floats] | None:
         """Definitions (g, p + q), and what takes what they are off to the unknowns, (p + q, g)."""
-        if isinstance(self.by_form, Defined):
+        if isinstance(self.by_form, ConstrainedKernel):
             return self.by_form.rows, self.by_form.fixing
         if self.model.definitions is None or (open_ := self.design.open_directions) is None:
             return None
         rows = np.pad(self.model.definitions, ((0, 0), (0, len(open_) - self.model.size[1])))
-        return rows, fixed_by(rows, open_, _scale(self.design))[0]
+        return rows, fix_open_directions(rows, open_, _scale(self.design))[0]
 
     def defined(self, x: Floats) -> Floats:
         """Return unknowns ``x`` (p + q,) as they are defined."""
@@ -639,7 +652,7 @@ class _Steps:
         if self._factor is None:
             step = self._whole.solve(white)
             change = self.design.times(step)
-            if isinstance(self._whole, Defined):
+            if isinstance(self._whole, ConstrainedKernel):
                 step = self._whole.defined(x + step) - x
             return step, float(change @ change)
         (root, scale, open_), moving = self._factor, _moving(self.model, len(x))
@@ -649,7 +662,7 @@ class _Steps:
         step /= scale
         if self.model.definitions is not None and open_.shape[1]:
             rows = np.pad(self.model.definitions, ((0, 0), (0, len(scale) - self.model.size[1])))
-            step -= fixed_by(rows, open_, scale)[0] @ (rows @ (x + step))
+            step -= fix_open_directions(rows, open_, scale)[0] @ (rows @ (x + step))
         return step, float(along @ along)
 
     @cached_property
@@ -729,7 +742,7 @@ def _whole(model: Model, design: Design) -> Kernel:
     Raises ObservabilityError where outputs feel what is open.
     """
     try:
-        found = _defined(model, Whole.of(design, model.fixed))
+        found = _defined(model, DenseKernel.of(design, model.fixed))
     except np.linalg.LinAlgError as error:  # the unknowns have run away
         raise _unsettled() from error
     _require_unfelt(model, found)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile, sidak
-from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, group_test
-from rotcal_ros.adjust.judgement import Blame, Judgement, judge
+from rotcal_ros.adjust.groups import Group, GroupTest, JudgedGroup, group_test
+from rotcal_ros.adjust.judgement import BlamedSubset, Judgement, judge
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.compact import FULL, CompactCovariance, Spread
 from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
@@ -73,7 +73,7 @@ class Gathering:
     """
 
     judgement: Judgement | None = None
-    blamed: tuple[Blame, ...] = ()
+    blamed: tuple[BlamedSubset, ...] = ()
     counts: tuple[Count, ...] = ()
 
     @property
@@ -81,7 +81,7 @@ class Gathering:
         """How probably sound data look as much as if something gathered."""
         return 1.0 if self.judgement is None else self.judgement.chance
 
-    def without(self, case: Blame) -> Gathering:
+    def without(self, case: BlamedSubset) -> Gathering:
         """Return it with ``case`` left out, too."""
         return replace(self, blamed=(*self.blamed, case))
 
@@ -99,9 +99,9 @@ class Gathering:
         return np.asarray(gathers + together @ together.T)
 
 
-def judged(
+def judge_gathering(
     before: Gathering,
-    groups: Sequence[Group | JudgedWhole],
+    groups: Sequence[Group | JudgedGroup],
     rest: tuple[float, float] | None,
 ) -> Gathering:
     """Return ``before`` with what ``groups`` say; ``rest`` as in :func:`~.groups.group_test`.
@@ -113,7 +113,7 @@ def judged(
     return replace(before, judgement=judge(weighed, rest), counts=tuple(counts))
 
 
-def doubts(
+def gathering_doubts(
     gathering: Gathering, rejected_share: float, significance: float, words: Words, unit: Unit
 ) -> Iterator[Phrase]:
     """Yield a sentence about everything that gathers, and about groups that do not fit.
@@ -141,7 +141,7 @@ def doubts(
     yield from _counted(gathering.counts, named, rejected_share, significance, words)
 
 
-def _blamed(case: Blame, words: Words, unit: Unit) -> Phrase:
+def _blamed(case: BlamedSubset, words: Words, unit: Unit) -> Phrase:
     count = int(case.subset.sum())
     size = " ".join(f"{x / unit.si:+.2g}" for x in case.size.tolist()) + f" {unit.name}"
     text = phrase(
@@ -188,7 +188,7 @@ def _counted(
             )  # fmt: skip
 
 
-def details(gathering: Gathering, elements: str) -> dict[str, Any]:
+def gathering_details(gathering: Gathering, elements: str) -> dict[str, Any]:
     """Return what was found for the details of a result; sizes in SI.
 
     ``chance``: how probably sound data look as much as if something gathered. ``groups``: the test

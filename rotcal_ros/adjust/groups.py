@@ -148,7 +148,7 @@ class Group:
         return float(self.along_axes[0].sum()), self.unit.size
 
 
-class JudgedWhole(NamedTuple):
+class JudgedGroup(NamedTuple):
     """A group of ``size`` rows that was judged together by other means.
 
     ``together``: T and its degrees of freedom, ``checks``: sum of the rows' shares that others
@@ -177,7 +177,7 @@ class GroupTest:
     redundancy: float
 
 
-def group_test(group: Group | JudgedWhole, rest: tuple[float, float] | None = None) -> GroupTest:
+def group_test(group: Group | JudgedGroup, rest: tuple[float, float] | None = None) -> GroupTest:
     """Test ``group`` as a whole.
 
     ``rest``: chi-squared and degrees of freedom of the whole adjustment, where the noise was

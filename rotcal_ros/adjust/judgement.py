@@ -1,7 +1,8 @@
 """Which disturbance is probable, what it may have done to the outputs, and what to leave out.
 
 Every group of a kind is held to be disturbed with a small probability stated beforehand
-(:class:`Belief`); every explanation of :mod:`.explanations` then has a posterior probability p.
+(:class:`PriorBelief`); every explanation of :mod:`.explanations` then has a posterior probability
+p.
 
 * The Bayes factor of all of them together against nothing is the test of largest power on average
   over what was believed beforehand. On sound data it exceeds 1/x with a probability below x
@@ -28,22 +29,22 @@ from rotcal_ros.adjust.explanations import (
     SIZES,
     FreeExchange,
     Hypotheses,
-    any_subset,
-    free,
+    free_errors,
     log_bayes,
-    log_bayes_of_each,
+    log_bayes_of_flips,
+    log_bayes_of_groups,
+    log_prior_of_subset,
     log_sum,
-    scatter,
-    search,
-    shifts,
-    shifts_flipped,
-    shifts_of_each,
-    studentised,
-    without,
+    output_change_without,
+    rescale_to_variance,
+    scatter_hypothesis,
+    search_subsets,
+    shift_hypotheses,
+    shift_hypotheses_of_groups,
 )
 from rotcal_ros.adjust.groups import Group
-from rotcal_ros.adjust.sensitivity import total
-from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
+from rotcal_ros.adjust.sensitivity import sum_moments
+from rotcal_ros.adjust.subsets import LEAST, distinct_subsets, largest_wrong_count
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.compact import Spread
 
@@ -68,7 +69,7 @@ POLISHED: Final = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class PriorBelief:
     """What is held to be probable before the residuals are seen.
 
     ``disturbed``: that something gathers in one of the groups; ``outlier``: that one element is
@@ -83,7 +84,7 @@ class Belief:
     scattered: float = 0.2
 
 
-BELIEF: Final = Belief()
+BELIEF: Final = PriorBelief()
 
 
 class WeighedHypotheses(NamedTuple):
@@ -126,7 +127,9 @@ class Judgement:
     def moments(self) -> tuple[Floats, Spread]:
         """Expected error (o,) of the outputs, and its square (o, o)."""
         outputs = self.groups[0].sensitivity.outputs if self.groups else 0
-        return total((each.found.moment(weights) for each, weights in self._weights()), outputs)
+        return sum_moments(
+            (each.found.moment(weights) for each, weights in self._weights()), outputs
+        )
 
     def _weights(self) -> Iterator[tuple[WeighedHypotheses, Floats]]:
         """Yield what gathers with its posterior probabilities (q, t)."""
@@ -200,7 +203,7 @@ def judge(groups: Sequence[Group], rest: tuple[float, float] | None = None) -> J
     for begin in range(0, len(groups), AT_ONCE):
         some = slice(begin, begin + AT_ONCE)
         found = list(_weighed(groups[some], chance[some], begin))
-        each = log_bayes_of_each([w.found for w in found])
+        each = log_bayes_of_groups([w.found for w in found])
         logs = np.concatenate(
             [(b + w.log_prior[:, None]).ravel() for b, w in zip(each, found, strict=True)]
         )
@@ -223,7 +226,7 @@ def _seen(group: Group, rest: tuple[float, float] | None) -> tuple[Group, float,
     if rest is None or left < 1.0:
         return group, np.inf, chi2_sf(squares, rank)
     variance = max((rest[0] - squares) / left, 1e-9)
-    return studentised(group, variance), left, chi2_sf(squares / variance, rank)
+    return rescale_to_variance(group, variance), left, chi2_sf(squares / variance, rank)
 
 
 def _families(group: Group) -> tuple[list[tuple[Bools, Floats]], float]:
@@ -249,18 +252,20 @@ def _weighed(
     parts, priors, noisier = list[Bools](), list[Floats](), list[float]()
     for group, rare in zip(groups, chance, strict=True):
         families, noisy = _families(group)
-        if rare < SEARCHED and len(other := search(group)):
+        if rare < SEARCHED and len(other := search_subsets(group)):
             count = other.sum(axis=1).astype(np.float64)
-            families.append((other, BELIEF.scattered * np.exp(any_subset(group.size, count))))
+            families.append(
+                (other, BELIEF.scattered * np.exp(log_prior_of_subset(group.size, count)))
+            )
         parts.append(np.concatenate([subsets for subsets, _ in families]))
         priors.append(np.concatenate([prior for _, prior in families]))
         noisier.append(noisy)
     alike, nothing = float(np.log(len(SIZES))), np.zeros(1, dtype=np.bool_)
-    every = zip(groups, shifts_of_each(groups, parts), priors, noisier, strict=True)
+    every = zip(groups, shift_hypotheses_of_groups(groups, parts), priors, noisier, strict=True)
     for g, (group, shift, prior, noisy) in enumerate(every, begin):
         single = np.arange(len(prior)) < group.size
         yield WeighedHypotheses(g, shift, np.log(prior) - alike, single)
-        yield WeighedHypotheses(g, scatter(group), np.log([noisy]) - alike, nothing)
+        yield WeighedHypotheses(g, scatter_hypothesis(group), np.log([noisy]) - alike, nothing)
 
 
 def _drawn(
@@ -281,7 +286,7 @@ def _drawn(
     alike = np.log(len(SIZES))
     found = [(log_sum(whole) - alike, float(np.log(noisier)), True)]
     for k, (subsets, prior) in enumerate(families):
-        form = shifts(group, subsets)
+        form = shift_hypotheses(group, subsets)
         score = drawn.reshape(*group.residual.shape, count) * group.relative[:, :, None]
         along = subsets.astype(np.float64) @ np.moveaxis(score, 0, 1)  # (c, q, r)
         along = np.moveaxis(along, 2, 0).swapaxes(1, 2)
@@ -306,7 +311,7 @@ def _mean_bayes(values: Floats, along: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Blame:
+class BlamedSubset:
     """Which elements of a group to leave out, and what else explains the residuals as well.
 
     ``subset`` (e,), its ``size`` (c,): by how much its elements are off together, in the unit of
@@ -329,31 +334,31 @@ class Blame:
         return bool((self.ratios < ALIKE).any())
 
 
-def blame(group: Group) -> Blame | None:
+def most_probable_subset(group: Group) -> BlamedSubset | None:
     """Return the subset of ``group`` that most probably is wrong; None where none can be.
 
     Candidates: shifts of gathered and of any subsets, their complements, and what a forward
     search by free errors finds; the best is polished by exchange of single elements. Compared is
     that they are off by the same or, alike probable, each a little otherwise
-    (:func:`~.explanations.free`): what noise lends to errors of their own does not show a shift of
-    one half from that of the other. ``group``: as in a :class:`Judgement`.
+    (:func:`~.explanations.free_errors`): what noise lends to errors of their own does not show a
+    shift of one half from that of the other. ``group``: as in a :class:`Judgement`.
     """
-    if most_of(group.size) < LEAST:
+    if largest_wrong_count(group.size) < LEAST:
         return None
     tried = _Tried(group)
     part = _candidates(group, tried)
     merit = np.array([tried.merit(subset) for subset in part])
     best = tried.polished(part[int(np.argmax(merit))])
-    part = distinct(best[None], part)
+    part = distinct_subsets(best[None], part)
     merit = np.array([tried.merit(subset) for subset in part])
     rank = np.argsort(-merit, kind="stable")
     part, merit = part[rank], merit[rank]
     probability = np.exp(merit - log_sum(merit))
-    change = without(group, part[0])
+    change = output_change_without(group, part[0])
     likely = probability > 1e-4
-    apart = np.array([without(group, subset) - change for subset in part[likely]])
+    apart = np.array([output_change_without(group, subset) - change for subset in part[likely]])
     rivals = [k for k in range(1, len(part)) if _different(part[0], part[k])]
-    return Blame(
+    return BlamedSubset(
         group=group,
         subset=part[0],
         size=_common(group, part[0]),
@@ -389,7 +394,10 @@ class _Tried:
         """Return ln of prior times Bayes factor."""
         key = subset.tobytes()
         if key not in self.known:
-            alike, apart = shifts(self.group, subset[None]), free(self.group, subset)
+            alike, apart = (
+                shift_hypotheses(self.group, subset[None]),
+                free_errors(self.group, subset),
+            )
             bayes = np.concatenate([alike.log_bayes()[0], apart.log_bayes()[0]])
             self.known[key] = float(self._weighed(bayes[None], subset[None])[0])
         return self.known[key]
@@ -399,16 +407,18 @@ class _Tried:
 
         -inf where too few or too many are left.
         """
-        alike = shifts_flipped(self.group, here.subset[None])[0]
+        alike = log_bayes_of_flips(self.group, here.subset[None])[0]
         other = here.subset ^ np.eye(len(here.subset), dtype=np.bool_)
         merit = self._weighed(np.concatenate([alike, here.flipped()], axis=1), other)
         count = other.sum(axis=1)
-        return np.where((count >= 1) & (count <= most_of(len(count))), merit, -np.inf)
+        return np.where((count >= 1) & (count <= largest_wrong_count(len(count))), merit, -np.inf)
 
     def _weighed(self, bayes: Floats, subsets: Bools) -> Floats:
         """Return ln of the mean of Bayes factors (q, t) times the prior of ``subsets`` (q, e)."""
         count, size = subsets.sum(axis=1).astype(np.float64), subsets.shape[1]
-        any_ = np.where(count > 1.0, any_subset(size, np.maximum(count, 1.0)), -np.log(size))
+        any_ = np.where(
+            count > 1.0, log_prior_of_subset(size, np.maximum(count, 1.0)), -np.log(size)
+        )
         prior = np.log(BELIEF.scattered) + any_
         if self._gathered:
             listed = np.array([subset.tobytes() in self._gathered for subset in subsets])
@@ -432,21 +442,21 @@ class _Tried:
 
 def _candidates(group: Group, tried: _Tried) -> Bools:
     """Return subsets (q, e) that may be to blame, each once."""
-    found = [search(group, CANDIDATES), _forward(group, tried)]
+    found = [search_subsets(group, CANDIDATES), _forward(group, tried)]
     if len(group.gathered):
-        merit = log_sum(shifts(group, group.gathered).log_bayes())
+        merit = log_sum(shift_hypotheses(group, group.gathered).log_bayes())
         found.append(group.gathered[np.argsort(-merit, kind="stable")[:CANDIDATES]])
-    part = distinct(*found)
-    part = distinct(part, ~part)
+    part = distinct_subsets(*found)
+    part = distinct_subsets(part, ~part)
     count = part.sum(axis=1)
-    return np.asarray(part[(count >= 1) & (count <= most_of(group.size))])
+    return np.asarray(part[(count >= 1) & (count <= largest_wrong_count(group.size))])
 
 
 def _forward(group: Group, tried: _Tried) -> Bools:
     """Return the subsets that a forward search by free errors passes through."""
     here = FreeExchange(group, np.zeros(group.size, dtype=np.bool_))
     path = []
-    for _ in range(most_of(group.size)):
+    for _ in range(largest_wrong_count(group.size)):
         merit = np.where(here.subset, -np.inf, tried.flipped(here))
         best = int(np.argmax(merit))
         here.flip(best)

@@ -1,10 +1,10 @@
 """The inverse normal matrix of a design, in whatever form it is least: what all that follows asks.
 
 A :class:`Design` is the derivatives J (n, p) of observations, whitened or not; a :class:`Kernel`
-answers for N^-1, N = J'J: the whole of it (:class:`Whole`, the reference), block by block
+answers for N^-1, N = J'J: the whole of it (:class:`DenseKernel`, the reference), block by block
 (:mod:`.bordered`), order by order (:mod:`.circles`), and beside any of them the low rank of rows
-that were changed and of effects that became unknowns (:class:`Updated`). docs/engine.md has the
-equations.
+that were changed and of effects that became unknowns (:class:`LowRankUpdateKernel`).
+docs/engine.md has the equations.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Design(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class WholeMatrix(Design):
+class DenseDesign(Design):
     """A design that is one ``matrix`` (n, p)."""
 
     matrix: Floats
@@ -138,9 +138,9 @@ class WholeMatrix(Design):
         """Return the whole design."""
         return self.matrix
 
-    def weighted(self, weight: Floats) -> WholeMatrix:
+    def weighted(self, weight: Floats) -> DenseDesign:
         """Return the same, its rows times ``weight`` (n,)."""
-        return WholeMatrix(self.matrix * weight[:, None])
+        return DenseDesign(self.matrix * weight[:, None])
 
     def times(self, x: Floats) -> Floats:
         """Return the design times ``x`` (p,) or (p, k)."""
@@ -154,13 +154,13 @@ class WholeMatrix(Design):
         """Return some rows (k, p)."""
         return self.matrix[which]
 
-    def beside(self, rows: Floats | csr_array) -> WholeMatrix:
+    def beside(self, rows: Floats | csr_array) -> DenseDesign:
         """Return the design with further ``rows`` (k, p) at its end."""
-        return WholeMatrix(np.concatenate([self.matrix, dense(rows)]))
+        return DenseDesign(np.concatenate([self.matrix, dense(rows)]))
 
-    def with_extra(self, columns: Floats) -> WholeMatrix:
+    def with_extra(self, columns: Floats) -> DenseDesign:
         """Return the design with the ``columns`` (n, q) of further unknowns."""
-        return WholeMatrix(np.concatenate([self.matrix, columns], axis=1))
+        return DenseDesign(np.concatenate([self.matrix, columns], axis=1))
 
 
 class Kernel(ABC):
@@ -179,7 +179,7 @@ class Kernel(ABC):
         return self.design.shape[1] - int(self.directions.shape[1])
 
     @cached_property
-    def defined_last(self) -> list[tuple[Floats, Defined]]:
+    def defined_last(self) -> list[tuple[Floats, ConstrainedKernel]]:
         """The definitions that it was asked with last, and the kernel with these."""
         return []
 
@@ -293,7 +293,7 @@ class Kernel(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Whole(Kernel):
+class DenseKernel(Kernel):
     """By the whole of a design: the reference.
 
     ``basis``: orthonormal columns (n, rank) that span J; ``root`` (p, rank) times its transposed
@@ -306,7 +306,7 @@ class Whole(Kernel):
     root: Floats
 
     @classmethod
-    def of(cls, design: Design, held: Ints, weak: float = OPEN) -> Whole:
+    def of(cls, design: Design, held: Ints, weak: float = OPEN) -> DenseKernel:
         """Return that of any ``design``; unknowns that may be ``held`` (k,) stand still.
 
         Of columns that were brought to length one: by QR, or by SVD where that is not firm. What
@@ -322,9 +322,12 @@ class Whole(Kernel):
             basis, upper = np.linalg.qr(unit[:, moving])
             along = basis.T @ unit[:, held]
             left = np.linalg.norm(unit[:, held] - basis @ along, axis=0)
-            if lapack.dtrcon(upper)[0] > max(FIRM, weak) and not (left > weak).any():
+            inverse, singular = lapack.dtrtri(upper)
+            norm, of_inverse = (np.abs(a).sum(axis=0).max(initial=0.0) for a in (upper, inverse))
+            firm = singular <= 0 and norm * of_inverse * max(FIRM, weak) < 1.0
+            if firm and not (left > weak).any():
                 root, open_ = np.zeros((len(scale), len(upper))), np.zeros((len(scale), len(held)))
-                root[moving] = lapack.dtrtri(upper)[0]
+                root[moving] = inverse
                 open_[moving] = -lapack.dtrtrs(upper, along)[0] if len(held) else 0.0
                 open_[held, np.arange(len(held))] = 1.0
                 return cls(design, open_ / scale[:, None], basis, root / scale[:, None])
@@ -350,7 +353,7 @@ class Whole(Kernel):
 
     def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
-        return squares_beside(white, self.basis[rows], np.ones(self.rank))
+        return squares_outside(white, self.basis[rows], np.ones(self.rank))
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
@@ -394,7 +397,7 @@ class Whole(Kernel):
 
 
 @dataclass(frozen=True, eq=False)
-class Updated(Kernel):
+class LowRankUpdateKernel(Kernel):
     """A ``base`` of which rows were changed, and to which unknowns came: a low rank beside it.
 
     Its N^-1 is that of the base, zero for further unknowns, and ``columns`` (p + q, r) times
@@ -416,7 +419,7 @@ class Updated(Kernel):
         share: Floats,
         changed: tuple[Floats | csr_array, Floats],
         extra: Floats,
-    ) -> Updated | None:
+    ) -> LowRankUpdateKernel | None:
         """Return that of a ``design`` with ``extra`` columns (n, q); None where it is not firm.
 
         ``changed``: rows (k, p), and by how much (k,) their squared weight differs from that in
@@ -437,7 +440,7 @@ class Updated(Kernel):
         alone = cls(design, base, share, columns * size, -core)
         return alone._with_extra(extra)
 
-    def _with_extra(self, extra: Floats) -> Updated | None:
+    def _with_extra(self, extra: Floats) -> LowRankUpdateKernel | None:
         """Return the same with ``extra`` columns (n, q); None where they are not firm."""
         back = self.design.adjoint(extra)
         gain = self.times(back)
@@ -450,7 +453,9 @@ class Updated(Kernel):
         columns = np.block([[self.columns, -gain / length], [np.zeros((q, len(self.core))),
                                                             np.diag(1.0 / length)]])  # fmt: skip
         core = np.asarray(block_diag(self.core, inverse))
-        return Updated(self.design.with_extra(extra), self.base, self.share, columns, core)
+        return LowRankUpdateKernel(
+            self.design.with_extra(extra), self.base, self.share, columns, core
+        )
 
     @property
     def directions(self) -> Floats:  # type: ignore[override]
@@ -565,7 +570,7 @@ class Updated(Kernel):
 
 
 @dataclass(frozen=True, eq=False)
-class Defined(Kernel):
+class ConstrainedKernel(Kernel):
     """A ``base`` that leaves directions H open, which definitions G x = 0 fix.
 
     Its N^-1 is P times that of the base times P', P = I - H (G H)^+ G. ``rows`` (g, p): G,
@@ -578,7 +583,7 @@ class Defined(Kernel):
     directions: Floats
 
     @classmethod
-    def of(cls, base: Kernel, definitions: Floats) -> Defined:
+    def of(cls, base: Kernel, definitions: Floats) -> ConstrainedKernel:
         """Return that of a ``base``, with ``definitions`` (g, p') of its first unknowns.
 
         The last one is kept with the base.
@@ -591,10 +596,12 @@ class Defined(Kernel):
         return found
 
     @classmethod
-    def _of(cls, base: Kernel, definitions: Floats) -> Defined:
+    def _of(cls, base: Kernel, definitions: Floats) -> ConstrainedKernel:
         lengths, p = base.design.lengths, len(base.directions)
         rows = np.pad(definitions, ((0, 0), (0, p - definitions.shape[1])))
-        fixing, left = fixed_by(rows, base.directions, np.where(lengths > 0.0, lengths, 1.0))
+        fixing, left = fix_open_directions(
+            rows, base.directions, np.where(lengths > 0.0, lengths, 1.0)
+        )
         return cls(base, rows, fixing, left)
 
     @property
@@ -690,7 +697,7 @@ class Defined(Kernel):
         return self.base.squares_between(share)
 
 
-def squares_beside(white: Floats, columns: Floats, sign: Floats) -> tuple[float, int]:
+def squares_outside(white: Floats, columns: Floats, sign: Floats) -> tuple[float, int]:
     """Return T = r'R^+r and the rank of R = 1 - ``columns`` (k, r) ``sign`` (r,) times their own.
 
     Of r = ``white`` (k,), which R can make. Eigenvalues up to CHECKED are taken for zero.
@@ -703,7 +710,9 @@ def squares_beside(white: Floats, columns: Floats, sign: Floats) -> tuple[float,
     return float(white @ white + beside), len(white) - int((~seen).sum())
 
 
-def fixed_by(rows: Floats, directions: Floats, lengths: Floats) -> tuple[Floats, Floats]:
+def fix_open_directions(
+    rows: Floats, directions: Floats, lengths: Floats
+) -> tuple[Floats, Floats]:
     """Return H (G H)^+ (p, g) of open ``directions`` H (p, k) and definitions ``rows`` G (g, p).
 
     And those of the directions that no definition fixes. ``lengths`` (p,): of the columns, by

@@ -20,20 +20,20 @@ from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
 from rotcal_ros.adjust.distributions import f_isf
 from rotcal_ros.adjust.effects import (
     EffectTest,
-    Observable,
+    ObservableEffect,
     ObservableFamily,
     chance_beside_scatter,
     chance_in_family,
     effect_test,
     family_test,
-    hidden_beside,
+    unresolved_sizes,
 )
 from rotcal_ros.adjust.fit import Fit
-from rotcal_ros.adjust.gathering import SUSPECTED, judged
-from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole
-from rotcal_ros.adjust.judgement import ALIKE, blame
-from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
-from rotcal_ros.adjust.observable import columns_of, observable_by, seen_of
+from rotcal_ros.adjust.gathering import SUSPECTED, judge_gathering
+from rotcal_ros.adjust.groups import CHECKED, Group, JudgedGroup
+from rotcal_ros.adjust.judgement import ALIKE, most_probable_subset
+from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_subsets, members_by_group
+from rotcal_ros.adjust.observable import dense_columns, observe_columns, observe_effect
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
@@ -62,7 +62,7 @@ SUSPECTS: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class SolutionView:
     """What a solution says: its groups are judged, and explanations can be asked for."""
 
     before: Diagnosis
@@ -71,7 +71,7 @@ class Look:
     @cached_property
     def diagnosis(self) -> Diagnosis:
         """The diagnosis with what its groups say."""
-        gathering = judged(self.before.gathering, self._groups(), self.rest)
+        gathering = judge_gathering(self.before.gathering, self._groups(), self.rest)
         return replace(self.before, gathering=gathering)
 
     @cached_property
@@ -222,7 +222,7 @@ class Look:
 
     def _together(self, group: Group) -> Explanation | None:
         """Return that some members of a ``group`` are off together, those which probably are."""
-        case, model = blame(group), self.before.model
+        case, model = most_probable_subset(group), self.before.model
         if case is None:
             return None
         members = case.group.members[case.subset]
@@ -233,7 +233,7 @@ class Look:
             column[by_axis, np.arange(case.size.size)] = 1.0
         else:
             column[by_axis] = np.swapaxes(frame[by_axis[:, 0]], 1, 2)
-        test = effect_test(observable_by(self.fit, column))
+        test = effect_test(observe_columns(self.fit, column))
         e, k, listed = case.group.size, len(members), max(len(case.group.gathered), 1)
         any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
         subsets = float(np.exp(min(np.log(listed), any_of_them)))
@@ -261,7 +261,7 @@ class Look:
         return [test.squares for _, _, test in self._tested]
 
     @cached_property
-    def _tested(self) -> list[tuple[Disturbing, Observable | ObservableFamily, EffectTest]]:
+    def _tested(self) -> list[tuple[Disturbing, ObservableEffect | ObservableFamily, EffectTest]]:
         """The declared effects that residuals can show, with their tests.
 
         Of a family another member may be there, too; the one before leaves no residual any more.
@@ -270,7 +270,7 @@ class Look:
         for effect in self.before.model.effects:
             if not effect.family and effect in taken:
                 continue
-            seen = seen_of(self.fit, effect)
+            seen = observe_effect(self.fit, effect)
             if isinstance(seen, ObservableFamily):
                 test = family_test(seen, self.rest)
             else:
@@ -280,12 +280,12 @@ class Look:
         return found
 
     def _members(
-        self, effect: Disturbing, seen: Observable | ObservableFamily, test: EffectTest
+        self, effect: Disturbing, seen: ObservableEffect | ObservableFamily, test: EffectTest
     ) -> Iterator[Explanation]:
         """Yield what an effect explains; of a family its best members, the best first."""
         columns, width = effect.at(self.fit.computed), effect.width
-        if isinstance(seen, Observable):
-            written = columns_of(columns, slice(None))
+        if isinstance(seen, ObservableEffect):
+            written = dense_columns(columns, slice(None))
             test = test._replace(probability=self._chance(written, seen, test))
             yield self._explanation(effect, written, seen, test, 1)
             return
@@ -296,7 +296,7 @@ class Look:
         for member, first, count in tried:
             alone = effect_test(member, self.rest, largest=effect.largest)
             if alone.rank:
-                written = columns_of(columns, slice(first, first + count))
+                written = dense_columns(columns, slice(first, first + count))
                 chance = self._chance(written, member, alone)
                 if chance > alone.probability:
                     chance = chance_in_family(alone._replace(probability=chance), seen)
@@ -305,7 +305,7 @@ class Look:
                 found.append(self._explanation(effect, written, member, alone, among))
         yield from sorted(found, key=lambda e: -e.support)
 
-    def _chance(self, columns: Floats, seen: Observable, test: EffectTest) -> float:
+    def _chance(self, columns: Floats, seen: ObservableEffect, test: EffectTest) -> float:
         """Return how probable the ``test`` of ``columns`` (n, k) is by what scatters as it does.
 
         Rows weigh as if each scattered by itself, by a size that is known.
@@ -320,7 +320,12 @@ class Look:
         return chance
 
     def _explanation(
-        self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: float
+        self,
+        effect: Disturbing,
+        columns: Floats,
+        seen: ObservableEffect,
+        test: EffectTest,
+        among: float,
     ) -> Explanation:
         """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show.
 
@@ -346,20 +351,20 @@ class Look:
         return Explanation(
             what, join_texts(()), columns @ test.axes, np.zeros(0, dtype=np.int64),
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
-            hidden=hidden_beside(test, seen),
+            hidden=unresolved_sizes(test, seen),
         )  # fmt: skip
 
-    def _groups(self) -> list[Group | JudgedWhole]:
+    def _groups(self) -> list[Group | JudgedGroup]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model = self.fit, self.before.model
-        found = list[Group | JudgedWhole | _Members]()
+        found = list[Group | JudgedGroup | _Members]()
         first, each = model.elements[:, 0], model.elements.shape[1]
         used, rejectable = fit.used[first], model.rejectable[first]
         for grouping in (g.at(first) for g in model.groupings):
             if not grouping.gathers:
                 found += self._together_each(grouping)
                 continue
-            for number, members in members_of(grouping, rejectable).items():
+            for number, members in members_by_group(grouping, rejectable).items():
                 kept = members[used[members]]
                 if not 1 < len(kept) < len(used):
                     continue
@@ -368,7 +373,7 @@ class Look:
                     rows = model.rows_of(kept)
                     found.append(_as_a_whole(fit, grouping.kind, name, rows, lost))
                     continue
-                parts = parts_of(grouping, members, each)
+                parts = split_group(grouping, members, each)
                 for k, part in enumerate(parts):
                     here = part[used[part]]
                     if len(here) > 1:
@@ -408,16 +413,16 @@ class Look:
                     found[k] = replace(group, spectrum=own)
         return iter([found[k] for k in range(len(asked))])
 
-    def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
+    def _together_each(self, grouping: Grouping) -> list[JudgedGroup]:
         """Return groups of which it is not asked what gathers, those of one size at once."""
         fit, model = self.fit, self.before.model
         first = model.elements[:, 0]
-        every, used = members_of(grouping, model.rejectable[first]), fit.used[first]
+        every, used = members_by_group(grouping, model.rejectable[first]), fit.used[first]
         kept = {number: each[used[each]] for number, each in every.items()}
         kept = {number: each for number, each in kept.items() if 1 < len(each) < len(used)}
         of = {number: model.rows_of(each) for number, each in kept.items()}
         lost = {number: len(every[number]) - len(each) for number, each in kept.items()}
-        found = dict[int, JudgedWhole]()
+        found = dict[int, JudgedGroup]()
         for size in {len(rows) for rows in of.values()}:
             numbers = [number for number, rows in of.items() if len(rows) == size]
             names = {number: grouping.name_of(number) for number in numbers}
@@ -436,7 +441,7 @@ class Look:
             each = zip(numbers, squares.tolist(), seen.sum(axis=1).tolist(), checked.tolist(),
                        strict=True)  # fmt: skip
             for number, square, rank, share in each:
-                found[number] = JudgedWhole(
+                found[number] = JudgedGroup(
                     grouping.kind, names[number], len(kept[number]), (square, rank),
                     (share, size), lost[number],
                 )  # fmt: skip
@@ -483,7 +488,7 @@ def _gathered_of(asked: Sequence[_Members]) -> Iterator[Bools]:
     """Yield which members of each group lie together, of neighbours in one grouping at once."""
     for _, some in groupby(asked, key=lambda each: (id(each.grouping), len(each.members))):
         alike = list(some)
-        yield from gathered_of(alike[0].grouping, np.stack([each.members for each in alike]))
+        yield from gathered_subsets(alike[0].grouping, np.stack([each.members for each in alike]))
 
 
 def _largest(squares: Floats) -> list[int]:
@@ -492,7 +497,7 @@ def _largest(squares: Floats) -> list[int]:
     return order
 
 
-def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
+def split_group(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
     """Return the ``members`` (e,) of a group in parts that are not too large, one after the other.
 
     What is asked of a group costs the cube of its members, of ``each`` so many rows; those of a
@@ -506,7 +511,7 @@ def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
     return [np.sort(part) for part in np.array_split(ordered, count)]
 
 
-def _as_a_whole(fit: Fit, kind: str, name: Phrase, rows: Ints, lost: int) -> JudgedWhole:
+def _as_a_whole(fit: Fit, kind: str, name: Phrase, rows: Ints, lost: int) -> JudgedGroup:
     """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
 
     Of circles T is what chi-squared is less by in the solution without them, where that is firm.
@@ -518,4 +523,4 @@ def _as_a_whole(fit: Fit, kind: str, name: Phrase, rows: Ints, lost: int) -> Jud
         together = fit.chi2 - rest[0], len(rows) - (fit.kernel.rank - rest[1])
     elements = len(np.unique(fit.model.of_element[rows]))
     checks = float(fit.redundancy[rows].sum()), len(rows)
-    return JudgedWhole(kind, name, elements, together, checks, lost)
+    return JudgedGroup(kind, name, elements, together, checks, lost)

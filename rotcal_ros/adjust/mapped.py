@@ -97,14 +97,14 @@ class MappedFit(Fit):
         return self.counting(np.sqrt(self._plain_variance))
 
 
-def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
+def with_other_outputs(found: Adjusted, value: Floats, sensitivity: Floats) -> Adjusted:
     """Return a solution whose outputs are the ``value`` (o,) of another map.
 
-    ``by`` (o, n): what errors of the observations do to it; those of what is known beforehand and
-    of what is not used do not matter.
+    ``sensitivity`` (o, n): what errors of the observations do to it; those of what is known
+    beforehand and of what is not used do not matter.
     """
     fit, model = found.fit, found.model
-    white = np.where(fit.used & model.rejectable, by * fit.std, 0.0)
+    white = np.where(fit.used & model.rejectable, sensitivity * fit.std, 0.0)
     design = fit.design[:, : model.size[1]] / fit.std[:, None]
     beyond = white @ design - model.outputs
     known = design[~model.rejectable]
@@ -112,10 +112,10 @@ def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
         white[:, ~model.rejectable] = -beyond @ np.linalg.pinv(known)
         beyond = beyond + white[:, ~model.rejectable] @ known
     every = Outputs.alone(csr_array(white))
-    return replaced(found, value, every, beyond @ fit.x[: model.size[1]])
+    return with_outputs_of_map(found, value, every, beyond @ fit.x[: model.size[1]])
 
 
-def replaced(found: Adjusted, value: Floats, by: Outputs, left_out: Floats) -> Adjusted:
+def with_outputs_of_map(found: Adjusted, value: Floats, by: Outputs, left_out: Floats) -> Adjusted:
     """Return a solution whose outputs are those of a map that is known: see :class:`MappedFit`."""
     own = {f.name: getattr(found.fit, f.name) for f in fields(Fit)}
     other = MappedFit(**own, found=value, by=by, left_out=left_out)

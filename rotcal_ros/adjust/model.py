@@ -16,14 +16,14 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.sparse import block_diag, csr_array, hstack
 
-from rotcal_ros.adjust.bordered import FewEach, Groups, within
-from rotcal_ros.adjust.designs import Derivatives, dense, design_of
+from rotcal_ros.adjust.bordered import Groups, SparseDesign, index_within_group
+from rotcal_ros.adjust.designs import Derivatives, dense, make_design
 from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.scattering import Scattering
-from rotcal_ros.adjust.subsets import distinct, neighbourhoods_of_each, runs
+from rotcal_ros.adjust.subsets import contiguous_runs, distinct_subsets, neighbourhoods_of_each
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, join_texts, phrase
@@ -251,7 +251,7 @@ class Disturbing:
         return self.mapped(spread, own, apart=False)
 
 
-class Expected(NamedTuple):
+class UnseenEventPrior(NamedTuple):
     """What may have happened unseen, once, by ``size``, plus or minus: a member of a family.
 
     With this ``probability`` beforehand, as of a fringe that a counter slips.
@@ -278,7 +278,7 @@ class KnownRelation(NamedTuple):
 
 def linear(design: Derivatives) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
-    form = design_of(design)
+    form = make_design(design)
     return lambda x: (form.times(x), design)
 
 
@@ -435,7 +435,7 @@ class Model:
     element: Ints | None = None
     mixed: csr_array | None = None
     definitions: Floats | None = None
-    expected: Sequence[Expected] = ()
+    expected: Sequence[UnseenEventPrior] = ()
     closures: Sequence[KnownRelation] = ()
     shared: Sequence[str] = ()
     unstated: bool = False
@@ -523,7 +523,7 @@ class Model:
     def elements(self) -> Ints:
         """Rows (m, c) of each element, -1 where one has fewer."""
         number = self.of_element
-        at = within(number)
+        at = index_within_group(number)
         found = np.full((int(number.max()) + 1, int(at.max()) + 1), -1)
         found[number, at] = np.arange(len(number))
         return found
@@ -610,7 +610,7 @@ class Model:
         groupings, of_element = self.groupings, self.of_element
         groups = np.array([g.number[self.elements[:, 0]] for g in groupings])
         alike = np.unique(groups, axis=1, return_inverse=True)[1]
-        seen, whole = (within(alike) + 1).tolist(), np.bincount(alike)[alike].tolist()
+        seen, whole = (index_within_group(alike) + 1).tolist(), np.bincount(alike)[alike].tolist()
 
         def name(row: int) -> Phrase:
             k = int(of_element[row])
@@ -628,13 +628,13 @@ class Model:
     def linearised(self, x: Floats) -> tuple[Floats, Design]:
         """Return the computed observations (n,) and their design at ``x`` (p,)."""
         computed, found = self.equations(x)
-        return computed, design_of(found, self._groups)
+        return computed, make_design(found, self._groups)
 
     @cached_property
     def _groups(self) -> Groups | None:
         """Into which groups the unknowns fall, which is asked once."""
-        design = design_of(self.equations(self.first)[1])
-        if not isinstance(design, FewEach):
+        design = make_design(self.equations(self.first)[1])
+        if not isinstance(design, SparseDesign):
             return None
         block = np.repeat(list(self.blocks), list(self.blocks.values()))
         return Groups.of(design.few, np.flatnonzero(np.isin(block, self.shared)))
@@ -665,7 +665,7 @@ class Model:
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = read(x)
-            return np.append(computed, rows @ x), design_of(design).beside(rows)
+            return np.append(computed, rows @ x), make_design(design).beside(rows)
 
         return replace(
             self,
@@ -853,7 +853,7 @@ class CurveModel:
     mixed: Collection[str] = ()
 
 
-def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
+def members_by_group(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
     """Return the judged observations of each group, by its number."""
     number = grouping.number
     order = np.argsort(number, kind="stable")
@@ -866,14 +866,14 @@ def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
     return dict(zip(every.tolist(), np.split(order[begin:], ends[:-1] - begin), strict=True))
 
 
-def gathered_of(grouping: Grouping, members: Ints) -> list[Bools]:
+def gathered_subsets(grouping: Grouping, members: Ints) -> list[Bools]:
     """Return which members (q, e) of groups (g, e) lie together; none where nothing says so."""
     found = [[np.zeros((0, members.shape[1]), dtype=np.bool_)] for _ in members]
     if grouping.along is not None:
         for each, along in zip(found, grouping.along[members], strict=True):
-            each.append(runs(along, grouping.closed))
+            each.append(contiguous_runs(along, grouping.closed))
     if grouping.near is not None:
         near = neighbourhoods_of_each(grouping.near[members])
         for each, those in zip(found, near, strict=True):
             each.append(those)
-    return [each[-1] if len(each) < 3 else distinct(*each) for each in found]
+    return [each[-1] if len(each) < 3 else distinct_subsets(*each) for each in found]

@@ -84,7 +84,7 @@ class EstimatedFactors(NamedTuple):
         return np.asarray(np.abs(np.log(self.factors)) > limit * self.log_std, dtype=np.bool_)
 
 
-def bent_squares(squares: Floats, redundancy: Floats, least: float) -> Floats:
+def robust_squares(squares: Floats, redundancy: Floats, least: float) -> Floats:
     """Return squared whitened residuals whose normalised value counts no more than BEND.
 
     Their sum is expected to be that of the ``redundancy``; rows with less than ``least`` of it

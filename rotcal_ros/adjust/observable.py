@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.effects import Observable, ObservableFamily
+from rotcal_ros.adjust.effects import ObservableEffect, ObservableFamily
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Disturbing, Steps
 from rotcal_ros.adjust.outputs import Outputs
@@ -24,33 +24,33 @@ WEAK, ROUNDED = 1e-6, 1e-12
 all of them are gone."""
 
 
-def columns_of(columns: Floats | Steps, which: slice) -> Floats:
+def dense_columns(columns: Floats | Steps, which: slice) -> Floats:
     """Return some of the ``columns`` (n, k), written out."""
     return columns.whole(which) if isinstance(columns, Steps) else columns[:, which]
 
 
-def seen_of(fit: Fit, effect: Disturbing) -> Observable | ObservableFamily:
+def observe_effect(fit: Fit, effect: Disturbing) -> ObservableEffect | ObservableFamily:
     """Return what a solution makes of an ``effect``."""
     if effect not in fit.seen:
         columns = effect.at(fit.computed)
         fit.seen[effect] = (
-            family_observable_by(fit, columns, effect.width)
+            observe_family(fit, columns, effect.width)
             if effect.family
-            else observable_by(fit, columns_of(columns, slice(None)))
+            else observe_columns(fit, dense_columns(columns, slice(None)))
         )
     return fit.seen[effect]
 
 
-def observable_by(fit: Fit, columns: Floats) -> Observable:
+def observe_columns(fit: Fit, columns: Floats) -> ObservableEffect:
     """Return what a solution makes of ``columns`` (n, k) of errors that are there together."""
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     left = fit.left_of(white)
-    return Observable(
+    return ObservableEffect(
         fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0)
     )
 
 
-def family_observable_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> ObservableFamily:
+def observe_family(fit: Fit, columns: Floats | Steps, width: int = 1) -> ObservableFamily:
     """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
     if isinstance(columns, Steps) and not columns.centred and columns.stride == 1:
         return _steps_observable_by(fit, columns)
@@ -58,7 +58,7 @@ def family_observable_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> O
     some = max(1, min(AT_A_TIME, MOST_NUMBERS // (len(fit.std) * width)))
     for begin in range(0, max(count, 1), some):
         end = begin + some  # of each part the first member of the next comes last
-        written = columns_of(columns, slice(begin * width, (end + 1) * width))
+        written = dense_columns(columns, slice(begin * width, (end + 1) * width))
         parts.append(_part_observable_by(fit, written, width, end < count))
     moved, own, beside, score, whole = (
         np.concatenate([getattr(part, each.name) for part in parts])
@@ -193,7 +193,7 @@ class StepMoves:
     def worst(self, std: Floats, *roots: Floats) -> list[Floats]:
         """Return the most (k,) that combinations of each do to an output, of ``std`` (o + a,).
 
-        As :func:`~.effects.worst_of`.
+        As :func:`~.effects.worst_combined_effect`.
         """
         counts, outputs = np.isfinite(std) & (std > 0.0), self.fit.model.counting_outputs
         unit = np.where(counts, 1.0 / np.where(counts, std, 1.0), 0.0)[: len(outputs)]

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import detected
+from rotcal_ros.adjust.distributions import detectable_size
 from rotcal_ros.adjust.explanations import Hypotheses
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.judgement import Judgement
@@ -25,7 +25,7 @@ SAFELY: Final = 1.0 + 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Hidden:
+class UndetectableShift:
     """The worst that may stay unseen of a shift of elements that gather in one group.
 
     ``error``: the largest change of an output in its standard uncertainty, of a shift of ``size``
@@ -39,9 +39,9 @@ class Hidden:
     seen: bool
 
 
-def hidden(
+def largest_undetectable_shift(
     judgement: Judgement, std: Floats, significance: float, power: float, largest: float
-) -> Hidden | None:
+) -> UndetectableShift | None:
     """Return the worst of all gathered subsets; None where no group has one.
 
     ``std`` (o,): standard uncertainties of the outputs; zero: one that does not count.
@@ -55,13 +55,13 @@ def hidden(
     limit = float(np.sqrt(2.0 * np.log(max(many, 2) / significance)))
     every = zip(judgement.groups, judgement.gathered, judgement.freedom, strict=True)
     unseen = [
-        _Undetected.of(group, found, detected(limit, power, dof), largest)
+        _Undetected.of(group, found, detectable_size(limit, power, dof), largest)
         for group, found, dof in every
         if len(group.gathered)
     ]
     reach = _Reach.of(unseen[0].found.group.sensitivity, std)
     most = np.array([reach.most(each) for each in unseen])
-    found, reached = dict[int, Hidden](), 0.0
+    found, reached = dict[int, UndetectableShift](), 0.0
     for k in np.argsort(-most, kind="stable").tolist():
         if SAFELY * most[k] < reached:
             break
@@ -91,11 +91,11 @@ class _Undetected:
         seen = size * group.usual_std <= largest
         return cls(group, found, np.where(seen, size, largest / group.usual_std), seen)
 
-    def worst(self, std: Floats) -> Hidden:
+    def worst(self, std: Floats) -> UndetectableShift:
         """Return the worst of the subsets; ``std`` (o,) of the outputs."""
         group, error = self.group, self.found.reach(std) * self.size
         q, axis = np.unravel_index(int(np.argmax(error)), error.shape)
-        return Hidden(
+        return UndetectableShift(
             float(error[q, axis]),
             float(self.size[q, axis] * group.usual_std),
             int(group.gathered[q].sum()),

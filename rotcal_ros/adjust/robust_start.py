@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.adjust.distributions import sidak
-from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.fit import Fit, fit_model
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -39,7 +39,7 @@ def robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     """
     every = np.ones(len(model.observed), dtype=np.bool_)
     try:
-        fit = fitted(model, every, model.std, model.first)
+        fit = fit_model(model, every, model.std, model.first)
         if _sound(fit, limits):
             return fit.x, np.zeros(0, dtype=np.int64)
     except DataError:
@@ -47,7 +47,7 @@ def robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     try:
         return _unbent(model, limits)
     except DataError:
-        return fitted(model, every, model.std, model.first).x, np.zeros(0, dtype=np.int64)
+        return fit_model(model, every, model.std, model.first).x, np.zeros(0, dtype=np.int64)
 
 
 def _sound(fit: Fit, limits: Limits) -> bool:
@@ -92,11 +92,11 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     miss = np.maximum(np.abs(model.observed - model.equations(model.first)[0]) / model.std, 1.0)
     if model.linearised(model.first)[1].large:
         miss = np.sqrt(miss)  # no more, for what is iterated
-    fit = fitted(model, every, model.std * miss, model.first, settled=ROUGHLY)
+    fit = fit_model(model, every, model.std * miss, model.first, settled=ROUGHLY)
     for _ in range(ROUNDS):
         # weights of least absolute deviations, which are those of least squares for small ones
         miss = np.maximum(np.abs(fit.residual) / model.std, 1.0)
-        after = fitted(model, every, model.std * np.sqrt(miss), fit.x, settled=ROUGHLY)
+        after = fit_model(model, every, model.std * np.sqrt(miss), fit.x, settled=ROUGHLY)
         moved = np.abs((after.residual - fit.residual) / model.std).max()
         fit = after
         if moved < 0.01:
@@ -107,7 +107,7 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     gross = (miss > GROSS * limits.outlier(model) * scatter) & model.rejectable
     gross = np.isin(model.of_element, model.of_element[gross])
     try:
-        fitted(model, ~gross, model.std, fit.x, settled=ROUGHLY)
+        fit_model(model, ~gross, model.std, fit.x, settled=ROUGHLY)
     except RotcalError:
         return fit.x[:p], np.zeros(0, dtype=np.int64)  # too many: they are judged with the rest
     return fit.x[:p], np.flatnonzero(gross)
@@ -125,7 +125,7 @@ def _concentrated(model: Model, fit: Fit) -> Fit:
         if (better == used).all():
             break
         try:
-            after = fitted(model, better, model.std, fit.x, settled=ROUGHLY)
+            after = fit_model(model, better, model.std, fit.x, settled=ROUGHLY)
             if after.far_worse_than(usual, FAR_WORSE):
                 break
         except RotcalError:

@@ -60,7 +60,7 @@ OUTSIDE: Final = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Sizes:
+class PosteriorSizes:
     """What is believed of a scatter: ``size`` (k,) and ``way`` (k,) with their ``weight`` (k,).
 
     ``contrasts``: how many show it; ``noticed``: the size that doubles the variance of a mean one.
@@ -130,18 +130,18 @@ class Scattering(Correlated):
         """Return ``influence`` (o, k), what errors of the rows do, times the root of a way."""
         return np.asarray(influence @ self.parts[0][way]) if self.parts[0] else influence
 
-    def sizes(self, fit: Fit) -> Sizes:
+    def sizes(self, fit: Fit) -> PosteriorSizes:
         """Return what a ``fit`` says of the size."""
         std = float(fit.std[self.rows[0]])
         if not self.asked:
             way = np.arange(self.ways)
-            return Sizes(np.full(len(way), std), way, self.likely, 0, std)
+            return PosteriorSizes(np.full(len(way), std), way, self.likely, 0, std)
         (value, *_), root, known = _contrasts(fit, self.rows, std)
         if root is None or not self.parts[0]:
             return self._said_by(value, [(known, value)], std)
         return self._said_by(value, [_along(root @ way, value) for way in self.parts[0]], std)
 
-    def beside(self, fit: Fit, errors: Floats) -> tuple[float, Sizes]:
+    def beside(self, fit: Fit, errors: Floats) -> tuple[float, PosteriorSizes]:
         """Return how probably scatter passes for whitened ``errors`` (n, k) as much as it does.
 
         And what contrasts that these do not touch say of its size.
@@ -191,14 +191,16 @@ class Scattering(Correlated):
             every[of] = (u[:, None] @ inverse @ u[:, :, None])[:, 0, 0]
         return every, sizes.weight
 
-    def _said_by(self, value: Floats, each: list[tuple[Floats, Floats]], std: float) -> Sizes:
+    def _said_by(
+        self, value: Floats, each: list[tuple[Floats, Floats]], std: float
+    ) -> PosteriorSizes:
         """Return what contrasts (q,) say: ``each`` way's eigenvalues, and these along its axes."""
         noticed = [_noticed(values) for values, _ in each]
         count = max(int((values > RULED * values.max(initial=0.0)).sum()) for values, _ in each)
         if not np.isfinite(min(noticed)):  # nothing shows it: as stated, or none
             way = np.arange(self.ways)
             size = np.full(len(way), self.stated or 0.0)
-            return Sizes(size, way, self.likely, 0, std)
+            return PosteriorSizes(size, way, self.likely, 0, std)
         least = float(min(noticed))
         if self.stated is not None:
             found = self._of_stated(value, each, least)
@@ -210,7 +212,7 @@ class Scattering(Correlated):
 
     def _of_stated(
         self, value: Floats, each: list[tuple[Floats, Floats]], noticed: float
-    ) -> Sizes:
+    ) -> PosteriorSizes:
         """Return the ways that a stated size leaves possible, and how probable that is."""
         assert self.stated is not None
         size = np.array([self.stated])
@@ -222,14 +224,14 @@ class Scattering(Correlated):
             chi2_sf(other + float((u**2 / (1.0 + self.stated**2 * d)).sum()), len(value))
             for (d, u), other in zip(each, rest, strict=True)
         ]
-        return Sizes(
+        return PosteriorSizes(
             np.full(self.ways, self.stated), np.arange(self.ways), weight, len(value), noticed,
             float(weight @ chance),
         )  # fmt: skip
 
     def _estimated(
         self, value: Floats, each: list[tuple[Floats, Floats]], noticed: list[float]
-    ) -> Sizes:
+    ) -> PosteriorSizes:
         """Return the posterior of size and way."""
         size, way, logs = (
             [np.zeros(1)],
@@ -248,13 +250,13 @@ class Scattering(Correlated):
         kept = weight > LIKELY * weight.sum()
         weight = weight[kept] / weight[kept].sum()
         every, which = np.concatenate(size)[kept], np.concatenate(way)[kept]
-        return Sizes(every, which, weight, len(value), float(min(noticed)))
+        return PosteriorSizes(every, which, weight, len(value), float(min(noticed)))
 
     def spread_of(self, fit: Fit, influence: Floats) -> Floats:
         """Return what independent errors of the rows would have to do (o, k) in their place.
 
         ``influence`` (o, k): what errors of each row's standard deviation do. By the mean of what
-        is believed, but for sizes beyond CLIPPED: :func:`enlargement` makes up for these.
+        is believed, but for sizes beyond CLIPPED: :func:`enlargement_factors` makes up for these.
         """
         sizes, unit = fit.sizes[self], influence / fit.std[self.rows[0]]
         if not self.parts[0]:
@@ -265,7 +267,7 @@ class Scattering(Correlated):
         values, axes = np.linalg.eigh(mean)
         return np.asarray(unit @ (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
 
-    def variances(self, sizes: Sizes, influence: Floats, std: float) -> Floats:
+    def variances(self, sizes: PosteriorSizes, influence: Floats, std: float) -> Floats:
         """Return the variances (o, k) of outputs by each of the sizes; ``influence`` as above."""
         each = np.stack(
             [(self.root(way, influence / std) ** 2).sum(axis=1) for way in range(self.ways)]
@@ -314,7 +316,7 @@ def _log_likelihood(size: Floats, values: Floats, along: Floats) -> Floats:
     return np.asarray(-0.5 * (np.log(grown) + along**2 / grown - along**2).sum(axis=1))
 
 
-def enlargement(fixed: Floats, used: Floats, variances: Floats, weight: Floats) -> Floats:
+def enlargement_factors(fixed: Floats, used: Floats, variances: Floats, weight: Floats) -> Floats:
     """Return factors (o,) on standard deviations, of which 1.96 then hold 95 %.
 
     ``fixed`` (o,): variances without scatter, ``used`` (o,) those in use; ``variances`` (o, k):
@@ -334,7 +336,7 @@ def enlargement(fixed: Floats, used: Floats, variances: Floats, weight: Floats) 
     return np.where(used > 0.0, factor, 1.0)
 
 
-def joined(every: list[tuple[Floats, Floats]], rng: Any) -> tuple[Floats, Floats]:
+def join_scatters(every: list[tuple[Floats, Floats]], rng: Any) -> tuple[Floats, Floats]:
     """Return the variances (o, k) and weights (k,) of what several scatters add together."""
     if len(every) == 1:
         return every[0]

@@ -62,7 +62,7 @@ class Sensitivity:
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class ErrorMoments:
     """Expected error (n,) of the rows of a group, and its square (n, n)."""
 
     sensitivity: Sensitivity
@@ -70,7 +70,7 @@ class Moment:
     square: Floats
 
 
-def total(moments: Iterable[Moment], outputs: int) -> tuple[Floats, Spread]:
+def sum_moments(moments: Iterable[ErrorMoments], outputs: int) -> tuple[Floats, Spread]:
     """Return the sums over groups of the outputs' expected error (o,) and of its square (o, o).
 
     All ``moments`` have the same common part, and few outputs beside it where there are many.

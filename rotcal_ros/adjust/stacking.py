@@ -1,9 +1,9 @@
 """Models of several instruments that see the same, as one model.
 
 Each instrument's model is brought to unknowns of which the first are those that all share
-(:func:`reparametrised`) and to observations in their stated noise (:func:`whitened`), for one
-reads lengths and another angles. :func:`stacked` puts them together: what all share stands once,
-everything else belongs to its instrument and bears its name.
+(:func:`reparametrise`) and to observations in their stated noise (:func:`whiten`), for one
+reads lengths and another angles. :func:`stack_models` puts them together: what all share stands
+once, everything else belongs to its instrument and bears its name.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ IN_NOISE: Final = Unit("standard deviations", 1.0)
 """In which people read the observations of several instruments."""
 
 
-def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model:
+def reparametrise(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model:
     """Return the model of unknowns in ``blocks`` (q,) that ``to`` (p, q) takes to its own."""
 
     def equations(x: Floats) -> tuple[Floats, Derivatives]:
@@ -39,11 +39,11 @@ def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model
         outputs=model.outputs @ to,
         further={name: rows @ to for name, rows in model.further.items()},
         definitions=None if model.definitions is None else model.definitions @ to,
-        start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
+        start=np.asarray(np.linalg.lstsq(to, model.first, rcond=None)[0], dtype=np.float64),
     )
 
 
-def whitened(model: Model) -> Model:
+def whiten(model: Model) -> Model:
     """Return the model of observations that are divided by their stated noise."""
     std = model.std
 
@@ -58,18 +58,18 @@ def whitened(model: Model) -> Model:
     return replace(changed, std=np.ones(len(std)), unit=IN_NOISE, correlated=correlated)
 
 
-def stacked(
+def stack_models(
     models: Mapping[str, Model], shared: Mapping[str, int], outputs: Floats, words: Words
 ) -> Model:
-    """Return the :func:`whitened` models of several instruments, by their names, as one.
+    """Return the :func:`whiten` models of several instruments, by their names, as one.
 
     The first unknowns of each are those in the blocks ``shared`` (s,); ``outputs`` (o, s) are
     those of all. What each determines besides is reported beside its name. Relations that only the
     outputs of one should keep are not asked for.
     """
     width, parts = sum(shared.values()), list(models.values())
-    rows = places_of([m.size[0] for m in parts])
-    own = places_of([m.size[1] - width for m in parts], width)
+    rows = slices_of([m.size[0] for m in parts])
+    own = slices_of([m.size[1] - width for m in parts], width)
     n, p = rows[-1].stop, own[-1].stop
     columns = [np.append(np.arange(width), np.arange(u.start, u.stop)) for u in own]
     every = list(zip(models.items(), rows, columns, strict=True))
@@ -176,7 +176,7 @@ def _together(
     return equations
 
 
-def places_of(sizes: Iterable[int], first: int = 0) -> list[slice]:
+def slices_of(sizes: Iterable[int], first: int = 0) -> list[slice]:
     """Return where parts of such ``sizes`` are that stand one after the other."""
     ends = np.cumsum([first, *sizes]).tolist()
     return [slice(a, b) for a, b in pairwise(ends)]

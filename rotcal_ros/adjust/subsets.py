@@ -24,7 +24,7 @@ LARGEST_SHARE: Final = 0.5
 """Share of a group that may be wrong together; of more, the others are held to be."""
 
 
-def most_of(size: int) -> int:
+def largest_wrong_count(size: int) -> int:
     """Return how many of ``size`` elements may be wrong together."""
     return int(LARGEST_SHARE * size)
 
@@ -36,9 +36,15 @@ def _sizes(size: int) -> Ints:
     between explains nearly as much, and what is blamed is polished.
     """
     found = [LEAST]
-    while found[-1] < most_of(size):
+    while found[-1] < largest_wrong_count(size):
         found.append(max(found[-1] + 1, int(GROWTH * found[-1])))
-    return np.array([min(number, most_of(size)) for number in found if most_of(size) >= LEAST])
+    return np.array(
+        [
+            min(number, largest_wrong_count(size))
+            for number in found
+            if largest_wrong_count(size) >= LEAST
+        ]
+    )
 
 
 def _step(size: int) -> int:
@@ -66,7 +72,7 @@ def neighbourhoods_of_each(places: Floats) -> list[Bools]:
     return [some[first] for some, first in zip(every, _first_of_each(every), strict=True)]
 
 
-def runs(along: Floats, closed: bool = False) -> Bools:
+def contiguous_runs(along: Floats, closed: bool = False) -> Bools:
     """Return unbroken runs (q, e) of elements in the order of ``along`` (e,), as of time.
 
     ``closed``: the last is followed by the first, as of directions round a circle.
@@ -82,10 +88,10 @@ def _runs(e: int, closed: bool) -> Bools:
     for size in _sizes(e).tolist():
         first = np.arange(0, e if closed else e - size + 1, _step(size))[:, None]
         found.append((place - first) % e < size)
-    return distinct(np.concatenate(found))
+    return distinct_subsets(np.concatenate(found))
 
 
-def bounds(subsets: Bools) -> tuple[Ints, Ints, Bools]:
+def run_bounds(subsets: Bools) -> tuple[Ints, Ints, Bools]:
     """Return the first element of each of ``subsets`` (q, e), the one after its last, both (q,).
 
     And whether it is a run of neighbours: all between them.
@@ -95,7 +101,7 @@ def bounds(subsets: Bools) -> tuple[Ints, Ints, Bools]:
     return first, end, np.asarray(subsets.sum(axis=1) == end - first)
 
 
-def distinct(*subsets: Bools) -> Bools:
+def distinct_subsets(*subsets: Bools) -> Bools:
     """Return all ``subsets`` (q, e), each once."""
     together = np.concatenate(subsets)
     return np.asarray(together[_first_of_each(together[None])[0]])

@@ -11,7 +11,7 @@ from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.simulated_run import seen_truth, simulated_run
+from rotcal_ros.methods.simulated_run import simulated_run, visible_truth
 
 
 def capture_records(
@@ -79,7 +79,7 @@ def simulated_truth(configuration: Configuration) -> dict[str, Floats]:
     0.0
     """
     _require_simulation(configuration)
-    return seen_truth(prepare(configuration))
+    return visible_truth(prepare(configuration))
 
 
 def solve(observations: Iterable[Observation], configuration: Configuration) -> Result:

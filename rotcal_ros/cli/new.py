@@ -68,7 +68,7 @@ def command(
     values = new_setup.values_of_tables(method)
     values |= dict(new_setup.given_value(method, known, change) for change in changes)
     if positions is not None:
-        values = {**new_setup.of_a_turn(known, positions), **values}
+        values = {**new_setup.full_turn_settings(known, positions), **values}
     if not yes:
         _ask(method, known, values)
     write_durably(output, new_setup.setup_text(method, known, values))

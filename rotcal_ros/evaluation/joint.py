@@ -28,12 +28,12 @@ from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
-from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.fit import Fit, fit_model
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Model, Unit, linear
-from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.adjust.observable import observe_columns
 from rotcal_ros.adjust.roots import root_between
-from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
+from rotcal_ros.adjust.stacking import reparametrise, slices_of, stack_models, whiten
 from rotcal_ros.evaluation.combination import (
     Combination,
     CombinationInput,
@@ -176,7 +176,7 @@ class _Shared:
     @cached_property
     def places(self) -> list[slice]:
         """Which of the unknowns (s,) are those of each group."""
-        return places_of(len(layout.common) for layout in self.layouts)
+        return slices_of(len(layout.common) for layout in self.layouts)
 
     @cached_property
     def columns(self) -> dict[str, slice]:
@@ -237,7 +237,7 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     own = np.hstack([inverse @ zeros @ null_space(bound, rcond=NONE), null_space(rows)])
     to = np.hstack([inverse @ curve, own @ _observable(model, own)])
     blocks = {CURVES: curve.shape[1], "own unknown": to.shape[1] - curve.shape[1]}
-    return whitened(reparametrised(model, to, blocks))
+    return whiten(reparametrise(model, to, blocks))
 
 
 def _observable(model: Model, own: Floats) -> Floats:
@@ -338,7 +338,7 @@ def _covariance(
     for (n, c, rows, grow), mine in zip(each, influences, strict=True):
         own = curves[n][c].covariance[np.ix_(rows, rows)]
         rests.append(grow @ (own - mine @ mine.T) @ grow)
-    total, slots = np.asarray(block_diag(*rests)), places_of(len(own) for own in influences)
+    total, slots = np.asarray(block_diag(*rests)), slices_of(len(own) for own in influences)
     for i, (n, c, rows, _) in enumerate(each):
         for j, (other, its, theirs, _) in enumerate(each[: i + 1]):
             if n == other:
@@ -449,7 +449,7 @@ class _Views:
     def together(self) -> Model:
         """What all observed."""
         basis = self.shared.basis
-        return stacked(self.models, {CURVES: basis.shape[1]}, basis, WORDS)
+        return stack_models(self.models, {CURVES: basis.shape[1]}, basis, WORDS)
 
     @cached_property
     def whole(self) -> Model:
@@ -464,12 +464,12 @@ class _Views:
     def fit(self) -> Fit:
         """Least squares of what all observed, with the noise that is stated."""
         n, p = self.together.size
-        return fitted(self.together, np.ones(n, dtype=np.bool_), np.ones(n), np.zeros(p))
+        return fit_model(self.together, np.ones(n, dtype=np.bool_), np.ones(n), np.zeros(p))
 
     @cached_property
     def rows(self) -> dict[str, slice]:
         """Which observations are those of each instrument."""
-        places = places_of(m.size[0] for m in self.models.values())
+        places = slices_of(m.size[0] for m in self.models.values())
         return dict(zip(self.models, places, strict=True))
 
     def own_curve(self, design: Floats, name: str, curves: Floats) -> Floats:
@@ -515,7 +515,7 @@ class _Views:
         """Test whether some instruments see curves of their own of the unknowns at ``place``."""
         curves = np.eye(len(self.shared.basis))[:, place]
         columns = [self.own_curve(fit.design, name, curves) for name in names]
-        return effect_test(observable_by(fit, np.hstack(columns)))
+        return effect_test(observe_columns(fit, np.hstack(columns)))
 
     def group(
         self,
@@ -562,7 +562,7 @@ class _Views:
             squares = {name: self.closed(fit, [name], place).squares for name in names}
             farthest = max(names, key=squares.__getitem__)
         tests = [
-            (effect_test(observable_by(fit, effect.whole(fit.computed))), effect.what)
+            (effect_test(observe_columns(fit, effect.whole(fit.computed))), effect.what)
             for effect in self.differences(fit.design, group.joined)
         ]
         differs = ""

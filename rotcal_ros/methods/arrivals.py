@@ -111,7 +111,7 @@ def arrivals_of_turns(angles: Sequence[float], speeds: Sequence[float]) -> Arriv
     )
 
 
-def both_ways(plan: Any) -> Arrivals | None:
+def bidirectional_arrivals(plan: Any) -> Arrivals | None:
     """Return the arrivals of the settings of a plan that measures both directions; else None."""
     if not plan.bidirectional:
         return None
@@ -183,9 +183,9 @@ def mean_of_arrivals(
     to = np.eye(size, size + sum(means.values()))
     model = found.model
     if means:
-        from rotcal_ros.adjust.stacking import reparametrised
+        from rotcal_ros.adjust.stacking import reparametrise
 
-        model = reparametrised(model, to, {**model.blocks, **means})
+        model = reparametrise(model, to, {**model.blocks, **means})
     every = {c: rows @ to for c, rows in found.curves.items()}
     curves = {c: arrivals.averaging() @ rows for c, rows in every.items()}
     for c, std in known.items():

@@ -33,7 +33,7 @@ from rotcal_ros.methods.disturbance import (
     Disturbances,
     DisturbedMeasurement,
     Sizes,
-    spoiled,
+    simulate_disturbed,
     table_deviations,
 )
 from rotcal_ros.methods.method import Method, See, Trials
@@ -77,7 +77,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Restated:
+class RestatedConfiguration:
     """A configuration whose statements fit what was found, and why others did not."""
 
     configuration: Configuration
@@ -121,7 +121,7 @@ class ByModel:
     drawn: Callable[[Configuration, Model, np.random.Generator], Floats] = (
         lambda _configuration, model, _random: np.zeros(model.size[1])
     )
-    restated: Callable[[Configuration, Readings, Adjusted], Restated | None] = (
+    restated: Callable[[Configuration, Readings, Adjusted], RestatedConfiguration | None] = (
         lambda _configuration, _read, _found: None
     )
 
@@ -226,7 +226,7 @@ class ByModel:
         )
         unknowns = unknowns + self._wandering(model, sizes, random)
         unknowns = unknowns + self.drawn(configuration, model, random)
-        found = spoiled(model.at(unknowns), plan, sizes, seed, count)
+        found = simulate_disturbed(model.at(unknowns), plan, sizes, seed, count)
         values = np.array([o.mean for o in nothing])
         first = slice(len(values) * count)  # what is known comes after them
         # of displacements a model has the places, which they are from where a nest was sent
@@ -265,14 +265,14 @@ class ByModel:
 
     def _adjusted(
         self, configuration: Configuration, observations: Sequence[Observation]
-    ) -> tuple[Adjusted, Restated]:
+    ) -> tuple[Adjusted, RestatedConfiguration]:
         if not observations:
             raise DataError("nothing was read: there is nothing to solve")
         read = Readings.of(observations)
         found = adjust(self.model(configuration, read))
         restated = self.restated(configuration, read, found)
         if restated is None:
-            return found, Restated(configuration)
+            return found, RestatedConfiguration(configuration)
         return adjust(self.model(restated.configuration, read)), restated
 
     def _wandering(self, model: Model, sizes: Sizes, random: np.random.Generator) -> Floats:

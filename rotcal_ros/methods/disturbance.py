@@ -88,7 +88,7 @@ def tilt(start: float, largest: float, allowed: Stated = None) -> Disturbance:
     return Disturbance("tilt", what, "arcsec", ARCSEC, start, largest, True, allowed)
 
 
-def stated(name: str, unit_si: float = 1.0) -> Callable[[Configuration], float]:
+def solver_statement(name: str, unit_si: float = 1.0) -> Callable[[Configuration], float]:
     """Return what reads a statement of the solver's settings, SI."""
     return lambda configuration: float(getattr(configuration.solver, name)) * unit_si
 
@@ -108,12 +108,12 @@ def table_deviations(count: int, sizes: Sizes, other: np.random.Generator) -> di
     }  # fmt: skip
 
 
-def streams(seed: int) -> Streams:
+def random_streams(seed: int) -> Streams:
     """Return the random numbers of the noise and, apart from them, those of the effects."""
     return np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
 
 
-def times(plan: Plan) -> Floats:
+def relative_times(plan: Plan) -> Floats:
     """Return when each step is measured (n,): from 0 at the first to 1 at the last."""
     return np.linspace(0.0, 1.0, len(plan.steps))
 
@@ -124,7 +124,7 @@ def angle_numbers(plan: Plan) -> Ints:
     return np.array([numbers[angle] for angle in plan.table_angles], dtype=np.int64)
 
 
-def arrivals(plan: Plan) -> Ints:
+def arrival_numbers(plan: Plan) -> Ints:
     """Return the number of the table's arrival at each step (n,): it stands or comes anew."""
     angle = np.array([step.table_angle for step in plan.steps])
     side = np.array([step.approach for step in plan.steps])
@@ -135,7 +135,9 @@ def arrivals(plan: Plan) -> Ints:
 def arrival_errors(plan: Plan, sizes: Sizes, other: np.random.Generator) -> Floats:
     """Return by how much (rad) the table is off at each step (n,): the same at one arrival."""
     drawn = other.standard_normal(len(plan.steps))
-    return np.asarray(sizes.get("repeatability", 0.0) * drawn[arrivals(plan)], dtype=np.float64)
+    return np.asarray(
+        sizes.get("repeatability", 0.0) * drawn[arrival_numbers(plan)], dtype=np.float64
+    )
 
 
 def of_readings(
@@ -163,14 +165,16 @@ def harmless(*effects: Effect) -> tuple[Disturbance, ...]:
     return tuple(Disturbance(effect, what, "arcsec", ARCSEC, 1.0, 1.0) for effect in effects)
 
 
-def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int, coordinates: int = 1) -> Floats:
+def simulate_disturbed(
+    model: Model, plan: Plan, sizes: Sizes, seed: int, coordinates: int = 1
+) -> Floats:
     """Return observations (n,) of a ``model`` of a whole plan, with noise and effects of sizes.
 
     Its observations are taken for true ones, in the order of the steps, so many ``coordinates``
     for each; where they are made of the block ECC, an arrival that is off moves each as that does.
     Declared effects strike with all their columns alike, a family at one moment.
     """
-    noise, other = streams(seed)
+    noise, other = random_streams(seed)
     exact = model.observed
     found = exact + sizes.get("axis noise", 1.0) * model.std * noise.standard_normal(len(exact))
     off = np.repeat(arrival_errors(plan, sizes, other), coordinates)

@@ -193,7 +193,7 @@ class DryRun:
             seconds, why = self.taking()
         except DataError:
             return CheckLine(PART, "time", "open", "not known: the table cannot go there")
-        return CheckLine(PART, "time", "note", f"about {describe(seconds)}, with {why}")
+        return CheckLine(PART, "time", "note", f"about {describe_duration(seconds)}, with {why}")
 
     def _prospects(self) -> Iterator[CheckLine]:
         """Yield what the plan cannot show, and what one more would bring, where that is quick."""
@@ -206,7 +206,7 @@ class DryRun:
             yield CheckLine(PART, "one more", "note", each.describe(before))
 
 
-def describe(seconds: float) -> str:
+def describe_duration(seconds: float) -> str:
     """Return a duration as people say it."""
     minutes = round(seconds / 60)
     if seconds < 100:

@@ -53,7 +53,7 @@ def values_of_tables(method: str) -> dict[str, Any]:
     return {names[name]: value for name, value in find_method(method).short_setup({}).items()}
 
 
-def of_a_turn(known: Known, positions: int) -> dict[str, Any]:
+def full_turn_settings(known: Known, positions: int) -> dict[str, Any]:
     """Return the settings of so many table angles, evenly over a turn."""
     if POSITIONS in known:
         return {POSITIONS: positions, STEP: 360.0 / positions}

@@ -97,7 +97,7 @@ def simulated_run(
         index = left.stop
 
 
-def disturbed(
+def disturb_events(
     events: Iterable[Event], calibration: Calibration, measured: DisturbedMeasurement
 ) -> Iterator[Event]:
     """Yield the events of a run whose steps read what was ``measured``, without observations.
@@ -131,7 +131,7 @@ def _along_beam(seen: Floats) -> Floats:
     return np.column_stack([along, level, np.cross(along, level)])
 
 
-def seen_truth(
+def visible_truth(
     calibration: Calibration, measured: DisturbedMeasurement | None = None
 ) -> dict[str, Floats]:
     """Return the true deviations (n,) of the simulated table, as far as the method can see them.

@@ -19,7 +19,7 @@ from rotcal_ros.report.template import render
 Pairs = Mapping[tuple[str, str], Comparison]
 
 
-@style.styled
+@style.house_style
 def curves_and_errors(
     curves: Mapping[str, MeasuredCurve], comparisons: Pairs, component: str
 ) -> str:

@@ -18,7 +18,7 @@ from rotcal_ros.report.template import render
 UP, DOWN = style.BLUE, style.ORANGE
 
 
-@style.styled
+@style.house_style
 def diagrams(runs: BidirectionalRuns, figures: Iso230) -> str:
     """Draw every run, the means with +- 2 s of both directions with A, and B_i and R_i."""
     every, accuracy, spread = style.grid(3, 1, height=2.9, sharex=True)

@@ -379,7 +379,7 @@ def budget(result: Result, withheld: str | None) -> str:
     )
 
 
-@style.styled
+@style.house_style
 def sources(result: Result) -> str:
     """Draw the standard uncertainty of every source, and their sum, over the table angle."""
     names = result.components
@@ -481,7 +481,7 @@ def _plan_rows(own: PlanFigures, papers: PlanFigures) -> list[list[str]]:
     return rows
 
 
-@style.styled
+@style.house_style
 def bars(found: Mapping[str, HarmonicContent]) -> str:
     """Draw the amplitudes over the order; pale where the order does not differ from zero."""
     panels = style.grid(-(-len(found) // 2), min(2, len(found)), height=2.5)

@@ -98,7 +98,7 @@ def _in_words(verification: Verification) -> str:
     )
 
 
-@style.styled
+@style.house_style
 def before_and_after(before: Positioning, after: Positioning) -> str:
     """Draw both measured curves, and the second one again on its own scale."""
     whole, left = style.grid(2, height=2.4)

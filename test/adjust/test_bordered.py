@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.bordered import Groups, SparseDesign
 from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Grouping, Model
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -42,7 +42,7 @@ def test_blocks_give_what_the_whole_matrix_gives(known, shared):
     """To 1e-12 of the uncertainty; what is known joins all groups, and holds far better."""
     random, few = np.random.default_rng(2), levels(shared=shared)
     rows = 1e3 * random.standard_normal((known, few.shape[1]))
-    design = FewEach(few, rows)
+    design = SparseDesign(few, rows)
     read = random.standard_normal(few.shape[0] + known)
     kernel = design.kernel()
     assert kernel.groups.own.shape == (30, 2)
@@ -63,7 +63,7 @@ def test_of_two_sides_that_feel_each_other_one_falls_into_groups(stations, targe
     value = random.uniform(0.5, 1.5, cells.shape).ravel()
     begin = np.arange(0, 3 * len(cells) + 1, 3)
     shape = (len(cells), 2 * stations + targets)
-    design = FewEach(
+    design = SparseDesign(
         csr_array((value, cells.ravel(), begin), shape=shape), np.zeros((0, shape[1]))
     )
     kernel = design.kernel()
@@ -76,7 +76,7 @@ def test_of_two_sides_that_feel_each_other_one_falls_into_groups(stations, targe
 def test_groups_may_differ_in_size_and_rows_be_left_out():
     random, few = np.random.default_rng(3), levels(uneven=True)
     few = csr_array(few[:, few.toarray().any(axis=0)])  # some stations have no slope
-    design = FewEach(few, np.zeros((0, few.shape[1])))
+    design = SparseDesign(few, np.zeros((0, few.shape[1])))
     weight = random.uniform(0.5, 2.0, few.shape[0]) * (random.uniform(size=few.shape[0]) > 0.1)
     read, kernel = random.standard_normal(few.shape[0]), design.weighted(weight).kernel()
     assert (kernel.groups.own < 0).sum() == 6
@@ -88,14 +88,17 @@ def test_what_has_no_blocks_or_no_firm_ones_is_left_to_the_whole_matrix():
     whole = csr_array(np.random.default_rng(4).standard_normal((20, 5)))
     assert Groups.of(whole) is None
     few = levels(groups=4, each=1)
-    assert FewEach(few, np.zeros((0, few.shape[1]))).kernel() is None
+    assert SparseDesign(few, np.zeros((0, few.shape[1]))).kernel() is None
 
 
 def test_a_border_of_which_rounding_is_left_is_open():
     """Angles, one read twice, and a zero that all have in common: an angle and the zero."""
     angles = np.append(np.arange(12), 0)
     few = csr_array(np.column_stack([1e7 * np.eye(12)[angles], np.full(13, 1e7 / 3.0)]))
-    read, kernel = np.random.default_rng(2).standard_normal(13), FewEach(few, np.zeros((0, 13)))
+    read, kernel = (
+        np.random.default_rng(2).standard_normal(13),
+        SparseDesign(few, np.zeros((0, 13))),
+    )
     kernel = kernel.kernel()
     assert kernel.directions.shape[1] == 1
     assert few @ kernel.solve(read) == pytest.approx(few @ by_whole(few.toarray(), read))
@@ -133,7 +136,7 @@ def test_what_nothing_tells_is_refused_in_both_forms():
         model = stations(sparse)
         used = np.arange(49) >= 48  # nothing but what is known
         with pytest.raises(ObservabilityError, match="shared"):
-            fitted(model, used, model.std, model.first)
+            fit_model(model, used, model.std, model.first)
 
 
 def test_the_kernel_is_kept_in_few_numbers():
@@ -141,7 +144,7 @@ def test_the_kernel_is_kept_in_few_numbers():
 
     def kept(groups):
         few = levels(groups)
-        kernel = FewEach(few, np.zeros((0, few.shape[1]))).kernel()
+        kernel = SparseDesign(few, np.zeros((0, few.shape[1]))).kernel()
         return sum(part.size for part in vars(kernel).values() if isinstance(part, np.ndarray))
 
     assert kept(300) <= 10 * kept(30)

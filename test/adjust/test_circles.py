@@ -11,13 +11,19 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from rotcal_ros.adjust import circles
-from rotcal_ros.adjust.bordered import FewEach
-from rotcal_ros.adjust.circles import ByOrder, Circular, Eliminated, Iterated, Turns
+from rotcal_ros.adjust.bordered import SparseDesign
+from rotcal_ros.adjust.circles import (
+    CircleTurns,
+    CircularDesign,
+    ConjugateGradients,
+    EliminatedNormals,
+    OrderwiseKernel,
+)
 from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import NO_OTHER_CHECKS, NOT_ASKED, adjust, predicted
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.kernels import Updated
+from rotcal_ros.adjust.kernels import LowRankUpdateKernel
 from rotcal_ros.adjust.model import (
     Grouping,
     Model,
@@ -78,7 +84,7 @@ def model_of(size, shifts, seed=1, *, tables=1, closed=True, keep=slice(None), n
         blocks=blocks,
         observed=observed,
         std=np.full(len(observed), SIGMA),
-        equations=linear(Circular.of(design, tables + 1, size)),
+        equations=linear(CircularDesign.of(design, tables + 1, size)),
         outputs=from_first(blocks, "table"),
         further={"reference": from_mean(blocks, "mark")},
         words=WORDS,
@@ -159,8 +165,8 @@ def test_order_by_order_says_what_the_whole_matrix_says(name):
     """Values within 1e-9 of their uncertainty, and every word of the verdict."""
     model = CASES[name]()
     found, expected = adjust(model), adjust(generally(model))
-    assert isinstance(found.fit.kernel, Updated)
-    assert not isinstance(expected.fit.kernel, Updated)
+    assert isinstance(found.fit.kernel, LowRankUpdateKernel)
+    assert not isinstance(expected.fit.kernel, LowRankUpdateKernel)
     std = np.where(expected.std > 0.0, expected.std, SIGMA)
     assert np.abs((found.value - expected.value) / std).max() < 1e-9
     assert found.covariance == pytest.approx(expected.covariance, abs=1e-9 * std.max() ** 2)
@@ -217,8 +223,8 @@ def test_the_variance_of_each_order_is_that_of_the_closed_form(size):
     """K / (K^2 - |S|^2), S = sum exp(i h shift), of two normal equations by hand; odd and even."""
     shifts, h = np.array([0, 1, 5, 3]), np.arange(1, size // 2 + 1)
     rows = design_of(size, rows_of(size, shifts, closed=False), 4)
-    turns = Turns.of(rows, 2, size)
-    found = ByOrder.of(turns, np.ones(4)).inverse[h]
+    turns = CircleTurns.of(rows, 2, size)
+    found = OrderwiseKernel.of(turns, np.ones(4)).inverse[h]
     sums = np.exp(2j * np.pi * np.outer(h, shifts) / size).sum(axis=1)
     left = 16.0 - np.abs(sums) ** 2
     assert found[:, 0, 0] == pytest.approx(4.0 / left)
@@ -233,7 +239,7 @@ def test_the_variance_of_each_order_is_that_of_the_closed_form(size):
 def test_the_closed_form_of_a_complete_grid_is_the_pseudo_inverse(size, steps):
     """Values, variances and what each reading does, where all orders are told: to 1e-12."""
     shifts = sorted({0, 1, *(step % size for step in steps)})
-    design = Circular.of(
+    design = CircularDesign.of(
         design_of(size, rows_of(size, shifts, closed=False), len(shifts)), 2, size
     )
     blocks = {"table": size, "mark": size, "setting": len(shifts)}
@@ -262,7 +268,7 @@ def test_the_closed_form_of_a_complete_grid_is_the_pseudo_inverse(size, steps):
 
 def test_a_kernel_is_kept_for_the_same_weights_alone():
     shifts = [0, 1, 3]
-    plain = Circular.of(design_of(8, rows_of(8, shifts, closed=False), 3), 2, 8)
+    plain = CircularDesign.of(design_of(8, rows_of(8, shifts, closed=False), 3), 2, 8)
     asked = [np.full(24, 1.0), np.full(24, 2.0), np.repeat([1.0, 2.0, 1.0], 8), np.full(24, 2.0)]
     for weight in asked:
         design = plain.weighted(weight)
@@ -316,7 +322,7 @@ def test_a_place_that_is_left_out_is_not_solved_for():
     """What is left is determined by no order: the whole design, or words, tell."""
     model, rows = model_of(24, (0, 1, 5, 2)), rows_of(24, (0, 1, 5, 2))
     with pytest.raises(ObservabilityError, match="no observation determines table 7"):
-        fitted(model, rows[1] != 7, model.std, model.first)
+        fit_model(model, rows[1] != 7, model.std, model.first)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.8])
@@ -327,7 +333,7 @@ def test_any_weights_are_solved_as_by_dense_least_squares(share):
     std = np.where(
         random.uniform(size=len(used)) < share, random.uniform(1.0, 50.0, len(used)), 1.0
     )
-    found = fitted(model, used, SIGMA * std, model.first)
+    found = fit_model(model, used, SIGMA * std, model.first)
     design = dense(model.equations(model.first)[1]) / (SIGMA * std)[:, None]
     inverse = np.linalg.pinv(design[used])
     x, outputs = inverse @ (model.observed / (SIGMA * std))[used], model.every_output
@@ -344,8 +350,8 @@ def test_eliminated_circles_are_not_taken_where_two_are_read_at_once():
     column = np.stack([place, size + (place + shift) % size, 2 * size + (place + other) % size])
     begin = 3 * np.arange(len(place) + 1)
     rows = csr_array((np.tile([1.0, -1.0, 2.0], len(place)), column.T.ravel(), begin))
-    design = Circular.of(rows, 3, size)
-    assert Eliminated.of(design) is None
+    design = CircularDesign.of(rows, 3, size)
+    assert EliminatedNormals.of(design) is None
     found = design.kernel()
     errors = random.standard_normal((len(place), 2))
     plain = rows.toarray() @ (np.linalg.pinv(rows.toarray()) @ errors)
@@ -356,16 +362,16 @@ def test_eliminated_circles_are_not_taken_where_two_are_read_at_once():
 def test_a_design_of_other_form_stays_as_it_is():
     rows = design_of(12, rows_of(12, (0, 1, 5)), 3)
     whole = csr_array(rows.toarray())
-    assert Circular.of(whole, 3, 12) is whole  # there are no three circles
+    assert CircularDesign.of(whole, 3, 12) is whole  # there are no three circles
     few = csr_array(whole[:4])
-    assert Circular.of(few, 2, 12) is few  # most of the turn is missing
+    assert CircularDesign.of(few, 2, 12) is few  # most of the turn is missing
     twice = whole.toarray()
     twice[0, 1] = 1.0
-    assert isinstance(Circular.of(csr_array(twice), 2, 12), csr_array)
+    assert isinstance(CircularDesign.of(csr_array(twice), 2, 12), csr_array)
     free = np.zeros((1, 27))
     free[0, 24] = 1.0
-    design = Circular.of(whole, 2, 12)
-    assert type(design.beside(free)) is FewEach
+    design = CircularDesign.of(whole, 2, 12)
+    assert type(design.beside(free)) is SparseDesign
     assert dense(design.beside(free)) == pytest.approx(np.vstack([rows.toarray(), free]))
 
 
@@ -424,7 +430,7 @@ def test_a_large_circle_whose_places_are_not_joined_is_refused(large):
     apart = np.isin(rows[1], [7, 8]) ^ np.isin(rows[2], [7, 8])
     model = model_of(24, (0, 1, 5, 2))
     with pytest.raises(ObservabilityError, match="cannot separate the places of the circles"):
-        _ = fitted(model, ~apart, model.std, model.first).output_std
+        _ = fit_model(model, ~apart, model.std, model.first).output_std
     assert adjust(model).verdict == "ok"
 
 
@@ -435,7 +441,7 @@ def test_extreme_eigenvalues_are_those_of_the_whole_matrices(dropped, large):
     weight = random.uniform(0.5, 1.0, rows.shape[0]) * (
         random.uniform(size=rows.shape[0]) > dropped
     )
-    found = Iterated.of(Circular.of(rows, 2, size).weighted(weight))
+    found = ConjugateGradients.of(CircularDesign.of(rows, 2, size).weighted(weight))
     plain = rows.toarray() * weight[:, None]
     mean = found.orders.turns.shares(weight)[0].mean(axis=1)
     turn = np.repeat(np.arange(6), size)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.circles import Circular
-from rotcal_ros.adjust.kernels import Defined, Updated, fixed_by
+from rotcal_ros.adjust.circles import CircularDesign
+from rotcal_ros.adjust.kernels import ConstrainedKernel, LowRankUpdateKernel, fix_open_directions
 from rotcal_ros.adjust.outputs import Outputs
 
 N, STEPS = 12, (0, 1, 3, 5, 8)
@@ -31,7 +31,7 @@ def design(missing=(), twice=()):
                 row[4 * N + 2 * turn + axis] = 1.0
                 rows.append(row)
     kept = [row for k, row in enumerate(rows) if k not in missing] + [rows[k] for k in twice]
-    return Circular.of(csr_array(np.array(kept)), 4, N)
+    return CircularDesign.of(csr_array(np.array(kept)), 4, N)
 
 
 def outputs():
@@ -59,12 +59,12 @@ def test_definitions_make_outputs_of_two_places_what_dense_algebra_says(missing,
     found, few = design(missing, twice), csr_array(outputs())
     weight = np.where(found.turns.turn % 2, 2.0, 1.0)
     kernel = found.weighted(weight).kernel()
-    assert isinstance(kernel, Updated)
+    assert isinstance(kernel, LowRankUpdateKernel)
     white, dense = found.dense() * weight[:, None], outputs()
     assert kernel.rank == np.linalg.matrix_rank(white)
-    defined = Defined.of(kernel, definitions())
+    defined = ConstrainedKernel.of(kernel, definitions())
     open_ = np.linalg.svd(white)[2][kernel.rank :].T
-    fixing, left = fixed_by(definitions(), open_, np.ones(len(open_)))
+    fixing, left = fix_open_directions(definitions(), open_, np.ones(len(open_)))
     to = np.eye(len(open_)) - fixing @ definitions()
     gain = dense @ to @ np.linalg.pinv(white)
     rows = np.arange(len(white))

@@ -8,7 +8,7 @@ from rotcal_ros.adjust.distributions import (
     binomial_quantile,
     chi2_isf,
     chi2_sf,
-    detected,
+    detectable_size,
     f_isf,
     f_sf,
     normal_isf,
@@ -57,12 +57,14 @@ def test_arrays_keep_their_shape():
 def test_the_size_that_a_test_finds():
     """By the noncentral distributions of scipy.stats; many degrees of freedom are like all."""
     limit, power = 3.1, 0.95
-    assert stats.norm.sf(limit - detected(limit, power)) == pytest.approx(power)
+    assert stats.norm.sf(limit - detectable_size(limit, power)) == pytest.approx(power)
     rare = stats.t.isf(stats.norm.sf(limit), 9.0)
-    size = detected(limit, power, 9.0)
+    size = detectable_size(limit, power, 9.0)
     both = stats.nct.sf(rare, 9.0, size) + stats.nct.cdf(-rare, 9.0, size)
     assert both == pytest.approx(power, abs=1e-5)
-    assert detected(limit, power, 1e7) == pytest.approx(detected(limit, power), rel=1e-5)
+    assert detectable_size(limit, power, 1e7) == pytest.approx(
+        detectable_size(limit, power), rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("tests", [1, 7, 5000])

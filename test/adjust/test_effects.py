@@ -8,14 +8,14 @@ from scipy.optimize import brentq
 
 from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.effects import (
-    Observable,
+    ObservableEffect,
     ObservableFamily,
-    above_of_family,
     effect_test,
+    family_exceedance,
+    family_limit,
     family_test,
-    limit_of_family,
-    undetected,
-    undetected_family,
+    largest_undetected,
+    largest_undetected_of_family,
 )
 
 
@@ -24,7 +24,7 @@ def seen(design, columns, outputs, residual):
     projector = np.eye(len(design)) - design @ np.linalg.pinv(design)
     moved = (outputs @ np.linalg.pinv(design) @ columns).T
     left = projector @ columns
-    return Observable(moved, left.T @ left, left.T @ residual, (columns**2).sum(axis=0))
+    return ObservableEffect(moved, left.T @ left, left.T @ residual, (columns**2).sum(axis=0))
 
 
 def family(design, columns, outputs, residual, width=1):
@@ -70,7 +70,7 @@ def test_what_the_unknowns_take_up_is_not_seen_and_not_judged():
     residual -= design @ np.linalg.lstsq(design, residual, rcond=None)[0]
     here = seen(design, columns, outputs, residual)
     assert effect_test(here).rank == 1
-    hides = undetected(here, np.ones(4), 5.0, significance=0.01, power=0.95)
+    hides = largest_undetected(here, np.ones(4), 5.0, significance=0.01, power=0.95)
     assert not hides.found
     assert hides.error >= 10.0  # five units of what moves the second output by two
 
@@ -81,11 +81,11 @@ def test_the_detectable_size_of_one_column_is_baardas():
     size = np.sqrt(noncentrality(0.01, 0.95) / here.information[0, 0])
     std = np.array([0.5, 1.0, 2.0, 0.0])
     wanted = (size * np.abs(here.moved[0, :3]) / std[:3]).max()
-    assert undetected(here, std, 1e9, significance=0.01, power=0.95)[:2] == (
+    assert largest_undetected(here, std, 1e9, significance=0.01, power=0.95)[:2] == (
         pytest.approx(wanted), True,
     )  # fmt: skip
     largest = 0.5 * size
-    bounded = undetected(here, std, largest, significance=0.01, power=0.95)
+    bounded = largest_undetected(here, std, largest, significance=0.01, power=0.95)
     assert bounded == (pytest.approx(0.5 * wanted), False, False)
 
 
@@ -95,12 +95,14 @@ def test_over_estimated_noise_the_detectable_size_is_that_of_f(k):
     design, columns, outputs, _ = world(k=k)
     here, std = seen(design, columns, outputs, np.zeros(40)), np.ones(4)
     sizes = {"significance": 0.01, "power": 0.95}
-    known, few = (undetected(here, std, 1e9, dof=dof, **sizes).error for dof in (np.inf, 9.0))
+    known, few = (
+        largest_undetected(here, std, 1e9, dof=dof, **sizes).error for dof in (np.inf, 9.0)
+    )
     below = 9.0 - k
     limit = stats.f.isf(0.01, k, below)
     needed = brentq(lambda shift: stats.ncf.sf(limit, k, below, shift) - 0.95, 1.0, 999.0)
     assert few / known == pytest.approx(np.sqrt(needed / noncentrality(0.01, 0.95, k)), rel=1e-4)
-    assert not undetected(here, std, 1.0, dof=float(k), **sizes).found
+    assert not largest_undetected(here, std, 1.0, dof=float(k), **sizes).found
 
 
 def test_an_effect_of_the_detectable_size_is_found_as_often_as_stated():
@@ -108,7 +110,7 @@ def test_an_effect_of_the_detectable_size_is_found_as_often_as_stated():
     design, columns, outputs, rng = world(k=2, seed=3)
     here = seen(design, columns, outputs, np.zeros(40))
     std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
-    hides = undetected(here, std, 1e9, significance=0.01, power=0.95)
+    hides = largest_undetected(here, std, 1e9, significance=0.01, power=0.95)
     inverse = np.linalg.inv(here.information)
     size_of = [inverse @ here.moved[:, o] for o in range(4)]
     sizes = [
@@ -141,7 +143,7 @@ def test_the_limit_of_a_family_is_exceeded_as_rarely_as_stated(width):
     ways = np.random.default_rng(8).standard_normal((60, 3)) if width > 1 else np.ones((60, 1))
     columns = (columns[:, :, None] * ways[:, None]).reshape(60, -1)
     here = family(design, columns, np.eye(2), np.zeros(60), width)
-    limit = limit_of_family(0.05, here.alike, here.rank)
+    limit = family_limit(0.05, here.alike, here.rank)
     rng, k = np.random.default_rng(5), len(here.rank)
     noise = rng.standard_normal((4000, 60))
     left = noise - noise @ (design @ np.linalg.pinv(design)).T
@@ -152,7 +154,7 @@ def test_the_limit_of_a_family_is_exceeded_as_rarely_as_stated(width):
     assert (
         (0.035 if width == 1 else 0.025) < share < 0.055
     )  # never much more than stated, and not far below
-    assert above_of_family(limit, here.alike, here.rank) == pytest.approx(0.05)
+    assert family_exceedance(limit, here.alike, here.rank) == pytest.approx(0.05)
     assert limit < stats.norm.isf(0.025 / 52)  # than of as many independent ones
 
 
@@ -163,9 +165,9 @@ def test_a_move_in_three_ways_of_the_size_that_is_found_is_found_as_often():
     wide = (columns[:, :, None] * ways[:, None]).reshape(60, -1)
     std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
     here = family(design, wide, np.eye(2), np.zeros(60), 3)
-    hides = undetected_family(here, std, 1e9, significance=0.01, power=0.95)
+    hides = largest_undetected_of_family(here, std, 1e9, significance=0.01, power=0.95)
     assert hides.found
-    chance = 2.0 * stats.norm.sf(limit_of_family(0.01, here.alike, here.rank))
+    chance = 2.0 * stats.norm.sf(family_limit(0.01, here.alike, here.rank))
     needed, moved = noncentrality(chance, 0.95, 3), here.moved.reshape(-1, 3, 2) / std
     inverse = np.linalg.inv(here.information)
     each = np.einsum("kvo,kvw,kwo->ko", moved, inverse, moved)
@@ -179,7 +181,7 @@ def test_a_move_in_three_ways_of_the_size_that_is_found_is_found_as_often():
         hits += family_test(family(design, wide, np.eye(2), left, 3)).probability < 0.01
     assert hits / 300 > 0.92
     wide[:, 3 * k + 1] = design @ [1.0, 2.0]
-    silent = undetected_family(
+    silent = largest_undetected_of_family(
         family(design, wide, np.eye(2), np.zeros(60), 3), std, 1e3, significance=0.01, power=0.95
     )
     assert silent.hidden
@@ -192,7 +194,7 @@ def test_what_nothing_shows_of_a_move_does_all_that_it_does_to_the_outputs():
     std, shown = np.sqrt(np.linalg.inv(design.T @ design).diagonal()), np.array([1.0, 2.0, 3.0])
     ways = np.array([[500.0, 100.0], [2.0, 7.0], [4.0, 1.0]])
     member = design @ ways.T + np.outer(columns[:, 0], shown)
-    hides = undetected_family(
+    hides = largest_undetected_of_family(
         family(design, member, np.eye(2), np.zeros(60), 3), std, 1e6, significance=0.01, power=0.95
     )
     moved = np.linalg.pinv(design) @ member / std[:, None]
@@ -206,10 +208,10 @@ def test_the_member_of_a_family_is_named_and_its_hidden_size_found():
     design, columns = steps()
     here = family(design, columns, np.eye(2), np.zeros(60))
     std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
-    hides = undetected_family(here, std, 1e9, significance=0.01, power=0.95)
+    hides = largest_undetected_of_family(here, std, 1e9, significance=0.01, power=0.95)
     assert hides.found
     rng = np.random.default_rng(6)
-    limit = limit_of_family(0.01, here.alike)
+    limit = family_limit(0.01, here.alike)
     size = (limit + stats.norm.isf(0.05)) / np.sqrt(here.information[:, 0, 0])
     worst = int(np.argmax(size * np.abs(here.moved / std).max(axis=1)))
     hat, hits, near = design @ np.linalg.pinv(design), 0, 0
@@ -227,12 +229,14 @@ def test_which_way_an_output_is_moved_is_no_matter_to_what_stays_unseen():
     design, columns = steps()
     std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
     here = family(design, columns, np.eye(2), np.zeros(60))
-    limit = limit_of_family(0.01, here.alike) + stats.norm.isf(0.05)
+    limit = family_limit(0.01, here.alike) + stats.norm.isf(0.05)
     size = limit / np.sqrt(here.information[:, 0, 0])
     truth = (size * np.abs(here.moved / std).max(axis=1)).max()
     for outputs in (np.eye(2), -np.eye(2)):
         turned = family(design, columns, outputs, np.zeros(60))
-        hides = undetected_family(turned, std, 1e9, significance=0.01, power=0.95)
+        hides = largest_undetected_of_family(turned, std, 1e9, significance=0.01, power=0.95)
         assert hides.error == pytest.approx(truth, rel=1e-3)
-        bare = undetected_family(turned, std, 2.0, significance=0.01, power=0.95, dof=1.0)
+        bare = largest_undetected_of_family(
+            turned, std, 2.0, significance=0.01, power=0.95, dof=1.0
+        )
         assert bare.error == pytest.approx(2.0 * np.abs(here.moved / std).max())

@@ -9,7 +9,7 @@ from scipy import stats
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Grouping, Model, Unit, linear
-from rotcal_ros.adjust.stacking import stacked, whitened
+from rotcal_ros.adjust.stacking import stack_models, whiten
 from rotcal_ros.foundation.errors import DataError
 
 PLACES, SETTINGS = 10, 5
@@ -140,8 +140,8 @@ def test_a_sector_that_closes_round_the_circle():
 def test_stacked_models_keep_their_elements():
     _, model, _ = centres()
     rest = replace(model, element=None, row_names=[f"r{k}" for k in range(3 * N)])
-    both = stacked(
-        {"a": whitened(model), "b": whitened(rest)}, {"place": 30}, np.eye(30), model.words
+    both = stack_models(
+        {"a": whiten(model), "b": whiten(rest)}, {"place": 30}, np.eye(30), model.words
     )
     assert len(both.elements) == N + 3 * N
     assert (both.elements[0] == [0, 1, 2]).all()

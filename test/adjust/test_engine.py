@@ -8,9 +8,9 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.diagnosis import Limits
-from rotcal_ros.adjust.effects import worst_of
+from rotcal_ros.adjust.effects import worst_combined_effect
 from rotcal_ros.adjust.engine import adjust, predicted
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
     Disturbing,
@@ -25,7 +25,7 @@ from rotcal_ros.adjust.model import (
     knocks,
     linear,
 )
-from rotcal_ros.adjust.observable import family_observable_by, observable_by
+from rotcal_ros.adjust.observable import observe_columns, observe_family
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
 SIGMA = 1e-6
@@ -174,7 +174,7 @@ def test_nearly_dependent_unknowns_keep_their_digits():
         words=WORDS,
     )
     assert np.linalg.cond(powers / np.linalg.norm(powers, axis=0)) > 1e7
-    assert fitted(model, everything, model.std, model.first).x == pytest.approx(truth, abs=1e-6)
+    assert fit_model(model, everything, model.std, model.first).x == pytest.approx(truth, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -673,7 +673,7 @@ def test_what_is_hardly_told_stands_still_for_nobody():
     back = np.eye(6)
     back[5, 5], back[2, 5] = 1e7, -1e7
     assert model.fixed.size == 1
-    found = fitted(model, np.ones(50, dtype=bool), model.std, model.first)
+    found = fit_model(model, np.ones(50, dtype=bool), model.std, model.first)
     expected = back @ np.linalg.lstsq(split, noise, rcond=None)[0]
     spread = back @ np.linalg.inv(split.T @ split) @ back.T
     assert found.value == pytest.approx(expected, rel=1e-6)
@@ -705,8 +705,8 @@ def test_a_family_is_seen_as_its_columns_one_by_one_are(width, written):
     moves = Steps(np.arange(n) // 20, np.arange(float(n)), ways)
     columns = moves.whole()
     found, plain = (
-        family_observable_by(fit, columns if written else moves, width),
-        observable_by(fit, columns),
+        observe_family(fit, columns if written else moves, width),
+        observe_columns(fit, columns),
     )
     each, at = plain.information.reshape(57, width, 57, width), np.arange(57)
     assert found.information == pytest.approx(each[at, :, at], rel=1e-9, abs=1.0)
@@ -715,7 +715,7 @@ def test_a_family_is_seen_as_its_columns_one_by_one_are(width, written):
     assert found.score.ravel() == pytest.approx(plain.score, rel=1e-6, abs=1e-3)
     assert found.whole.ravel() == pytest.approx(plain.whole)
     roots = np.random.default_rng(8).standard_normal((57, width, 2))
-    worst = worst_of(found.moved, fit.noise_std, roots)[0]
+    worst = worst_combined_effect(found.moved, fit.noise_std, roots)[0]
     share = plain.moved.reshape(57, width, -1)[:, :, 1:] / fit.noise_std[1:]
     expected = np.sqrt((np.einsum("kwo,kwr->kor", share, roots) ** 2).sum(axis=2)).max(axis=1)
     assert worst == pytest.approx(expected)
@@ -742,7 +742,7 @@ def test_a_move_is_found_whichever_way_it_goes(width):
 def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
     nothing, noise = np.zeros((5, 2)), np.arange(5.0)
     assert adjust(ready(nothing, np.zeros((1, 2)), noise)).value == [0.0]
-    for solved in (adjust, lambda m: fitted(m, np.ones(5, dtype=bool), m.std, m.first).kernel):
+    for solved in (adjust, lambda m: fit_model(m, np.ones(5, dtype=bool), m.std, m.first).kernel):
         with pytest.raises(ObservabilityError, match="no observation determines unknown 0, unk"):
             solved(ready(nothing, np.eye(2), noise))
 

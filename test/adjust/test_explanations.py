@@ -14,15 +14,15 @@ from rotcal_ros.adjust.explanations import (
     SIZES,
     FreeExchange,
     _flipped,
-    free,
-    scatter,
-    search,
-    shifts,
-    studentised,
-    without,
+    free_errors,
+    output_change_without,
+    rescale_to_variance,
+    scatter_hypothesis,
+    search_subsets,
+    shift_hypotheses,
 )
-from rotcal_ros.adjust.sensitivity import total
-from rotcal_ros.adjust.subsets import neighbourhoods, runs
+from rotcal_ros.adjust.sensitivity import sum_moments
+from rotcal_ros.adjust.subsets import contiguous_runs, neighbourhoods
 
 E = 8
 SUBSET = np.isin(np.arange(E), [1, 2, 4])
@@ -76,15 +76,15 @@ def test_bayes_factors_and_moments(own_zero, form):
     view, group, columns = world(3, own_zero, shift=2.0)
     together = np.linalg.cholesky(np.ones((3, 3)) + OWN**2 * np.eye(3))
     found, errors = {
-        "shift": (shifts(group, SUBSET[None]), columns @ SUBSET[:, None]),
-        "free": (free(group, SUBSET), columns[:, SUBSET] @ together),
-        "scatter": (scatter(group), columns),
+        "shift": (shift_hypotheses(group, SUBSET[None]), columns @ SUBSET[:, None]),
+        "free": (free_errors(group, SUBSET), columns[:, SUBSET] @ together),
+        "scatter": (scatter_hypothesis(group), columns),
     }[form]
     for t, size in enumerate(SIZES):
         assert found.log_bayes()[0, t] == pytest.approx(by_density(view, errors, size), abs=1e-8)
         weights = np.zeros((1, len(SIZES)))
         weights[0, t] = 1.0
-        mean, second = total([found.moment(weights)], group.sensitivity.outputs)
+        mean, second = sum_moments([found.moment(weights)], group.sensitivity.outputs)
         expected, spread = by_adjustment(view, errors, size, view.residual)
         assert mean == pytest.approx(expected, abs=1e-9)
         assert second == pytest.approx(np.outer(expected, expected) + spread, rel=1e-8, abs=1e-8)
@@ -100,7 +100,7 @@ def test_shifts_of_all_axes_of_an_element():
     columns = np.zeros((18, 3))
     for e in np.flatnonzero(subset):
         columns[3 * e : 3 * e + 3] = np.diag(unit[e] / np.median(unit))
-    found = shifts(group, subset[None])
+    found = shift_hypotheses(group, subset[None])
     for t, size in enumerate(SIZES):
         assert found.log_bayes()[0, t] == pytest.approx(by_density(view, columns, size), abs=1e-8)
 
@@ -115,11 +115,11 @@ def test_long_runs_and_other_subsets_are_summed_up_row_by_row():
     group = view.group("run", "run 0", np.arange(e), np.arange(e), unit)
     subsets = np.concatenate([
         np.eye(e, dtype=bool),
-        runs(np.arange(float(e))),
-        runs(rng.permutation(np.arange(float(e))))[:20],
-        runs(np.arange(float(e)), closed=True)[-20:],
+        contiguous_runs(np.arange(float(e))),
+        contiguous_runs(rng.permutation(np.arange(float(e))))[:20],
+        contiguous_runs(np.arange(float(e)), closed=True)[-20:],
     ])  # fmt: skip
-    found = shifts(group, subsets)
+    found = shift_hypotheses(group, subsets)
     columns = np.zeros((e + 5, len(subsets)))
     columns[:e] = (unit / np.median(unit))[:, None] * subsets.T
     left = residuals(design, columns)
@@ -138,14 +138,16 @@ def test_leaving_a_subset_out_is_adjusting_without_it():
     view, group, _ = world(7, shift=5.0)
     rows = np.delete(np.arange(len(view.design)), E + np.flatnonzero(SUBSET))
     there = np.linalg.lstsq(view.design[rows], view.residual[rows], rcond=None)[0]
-    assert without(group, SUBSET) == pytest.approx(view.outputs @ there, abs=1e-9)
+    assert output_change_without(group, SUBSET) == pytest.approx(view.outputs @ there, abs=1e-9)
 
 
 def test_studentised_is_the_same_with_other_noise():
     _view, group, _ = world(2)
-    other = studentised(group, 4.0)
+    other = rescale_to_variance(group, 4.0)
     assert other.residual == pytest.approx(group.residual / 2.0)
-    assert without(other, SUBSET) == pytest.approx(without(group, SUBSET))
+    assert output_change_without(other, SUBSET) == pytest.approx(
+        output_change_without(group, SUBSET)
+    )
 
 
 def enumerated(group):
@@ -154,7 +156,7 @@ def enumerated(group):
         [np.isin(np.arange(E), one) for k in (2, 3, 4) for one in combinations(range(E), k)]
     )
     prior = -np.log(3 * comb(E, found.sum(axis=1)))
-    return found, prior + logsumexp(shifts(group, found).log_bayes(), axis=1)
+    return found, prior + logsumexp(shift_hypotheses(group, found).log_bayes(), axis=1)
 
 
 @pytest.mark.parametrize("own_zero", [True, False])
@@ -163,7 +165,7 @@ def test_the_search_finds_what_enumeration_finds(own_zero):
     for seed in range(40):
         _, group, _ = world(seed, own_zero, shift=(0.0, 2.0, 4.0)[seed % 3])
         subsets, merit = enumerated(group)
-        best = search(group)[0]
+        best = search_subsets(group)[0]
         same = (subsets == best).all(axis=1)
         hits += merit[same][0] >= merit.max() - 1e-9
     assert hits >= 38
@@ -183,14 +185,16 @@ def test_one_element_more_or_less_is_worth_what_that_subset_is(axes):
             other = subset ^ (np.arange(E) == element)
             count = int(other.sum())
             inside = 2 <= count <= E // 2
-            merit = logsumexp(shifts(group, other[None]).log_bayes()) - np.log(3 * comb(E, count))
+            merit = logsumexp(shift_hypotheses(group, other[None]).log_bayes()) - np.log(
+                3 * comb(E, count)
+            )
             assert row[element] == (pytest.approx(merit, abs=1e-9) if inside else -np.inf)
 
 
 def test_no_subset_of_three_elements():
     view, _, _ = world()
     group = view.group("station", "small", np.arange(3), np.arange(3))
-    assert search(group).shape == (0, 3)
+    assert search_subsets(group).shape == (0, 3)
 
 
 @pytest.mark.parametrize("axes", [1, 3])
@@ -207,7 +211,7 @@ def test_free_subsets_that_differ_by_one_element_are_known_without_each_by_itsel
         for element, found in enumerate(here.flipped()):
             other = here.subset ^ (np.arange(9) == element)
             if other.any():
-                expected = free(group, other).log_bayes()[0]
+                expected = free_errors(group, other).log_bayes()[0]
                 np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
         if k is not None:
             here.flip(k)

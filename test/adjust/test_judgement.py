@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from linear_worlds import Dense, lines, outputs, places_on_a_ring, residuals
 
-from rotcal_ros.adjust.explanations import shifts, without
-from rotcal_ros.adjust.judgement import blame, judge
-from rotcal_ros.adjust.subsets import neighbourhoods, runs
+from rotcal_ros.adjust.explanations import output_change_without, shift_hypotheses
+from rotcal_ros.adjust.judgement import judge, most_probable_subset
+from rotcal_ros.adjust.subsets import contiguous_runs, neighbourhoods
 
 E, GROUPS = 20, 6
 DESIGN = {zero: lines(GROUPS, E, zero) for zero in (True, False)}
@@ -61,7 +61,7 @@ def test_eight_of_twenty_are_found_and_named(own_zero, which):
         seen = judge(found)
         assert seen.proved(1e-3)
         assert seen.worst == 2
-        to_blame = blame(seen.groups[2])
+        to_blame = most_probable_subset(seen.groups[2])
         assert np.flatnonzero(to_blame.subset).tolist() == sorted(which)
         assert to_blame.size == pytest.approx([8.0], abs=3.0)
 
@@ -73,7 +73,7 @@ def test_the_size_is_the_shift_whatever_the_noise_was_taken_for():
         squares = sum(group.together[0] for group in found) / 4.0
         rank = sum(group.together[1] for group in found)
         wide = [replace(g, residual=g.residual / 2.0, unit=g.unit / 2.0) for g in found]
-        to_blame = blame(judge(wide, rest=(squares, rank)).groups[2])
+        to_blame = most_probable_subset(judge(wide, rest=(squares, rank)).groups[2])
         assert to_blame.subset.sum() == 8
         assert to_blame.size == pytest.approx([16.0], abs=3.0)
 
@@ -81,13 +81,15 @@ def test_the_size_is_the_shift_whatever_the_noise_was_taken_for():
 def test_uneven_errors_are_found_and_named():
     sizes = np.linspace(5.0, 15.0, 8)
     _, found = disturbed(3, np.arange(8), sizes)
-    assert np.flatnonzero(blame(judge(found).groups[2]).subset).tolist() == list(range(8))
+    assert np.flatnonzero(most_probable_subset(judge(found).groups[2]).subset).tolist() == list(
+        range(8)
+    )
 
 
 def test_a_half_against_the_other_is_ambiguous():
     which = np.arange(0, E, 2)
     _view, found = disturbed(1, which, 8.0)
-    to_blame = blame(judge(found).groups[2])
+    to_blame = most_probable_subset(judge(found).groups[2])
     assert to_blame.ambiguous
     halves = {tuple(which), tuple(which + 1)}
     assert tuple(np.flatnonzero(to_blame.subset)) in halves
@@ -104,8 +106,8 @@ def test_which_half_is_off_by_the_same_stays_open_whatever_noise_prefers():
         errors[16:24] += 30.0 * truth
         view = Dense(design, outputs(design, GROUPS), residuals(design, errors))
         group = view.group("station", "station 2", np.arange(8), 16 + np.arange(8))
-        to_blame = blame(group)
-        left = without(group, truth) - to_blame.change
+        to_blame = most_probable_subset(group)
+        left = output_change_without(group, truth) - to_blame.change
         std = np.sqrt(view.std**2 + (to_blame.root**2).sum(axis=1))
         assert (np.abs(left) / std).max() < 4.5, seed
         assert to_blame.ambiguous, seed
@@ -155,7 +157,7 @@ def test_a_shift_that_leaves_no_residual_is_not_believed_where_noise_was_scaled_
     leverage = np.eye(8).reshape(8, 1, 8, 1) - sound.cofactor
     nudged = sound.residual + 0.1 * corners[:, :1]  # what the last step of scaling has left
     spoiled = replace(sound, cofactor=sound.cofactor - 0.06 * leverage, residual=nudged)
-    assert np.abs(shifts(spoiled, faces).log_bayes()).max() < 1e-9
+    assert np.abs(shift_hypotheses(spoiled, faces).log_bayes()).max() < 1e-9
 
 
 def test_whom_to_blame_in_a_large_group_costs_few_decompositions(monkeypatch):
@@ -165,11 +167,13 @@ def test_whom_to_blame_in_a_large_group_costs_few_decompositions(monkeypatch):
     errors[[3, 4, 5, 31, 32, 33]] += np.repeat([20.0, -20.0], 3)
     design = lines(2, e)
     view = Dense(design, outputs(design, 2), residuals(design, errors))
-    group = view.group("run", "run 0", np.arange(e), np.arange(e), gathered=runs(np.arange(e)))
+    group = view.group(
+        "run", "run 0", np.arange(e), np.arange(e), gathered=contiguous_runs(np.arange(e))
+    )
     plain = np.linalg.eigh
     monkeypatch.setattr(
         np.linalg, "eigh", lambda matrix: decomposed.append(matrix.shape) or plain(matrix)
     )
-    found = blame(group)
+    found = most_probable_subset(group)
     assert np.flatnonzero(found.subset).tolist() == [3, 4, 5, 31, 32, 33]
     assert len(decomposed) < 2 * e

@@ -6,9 +6,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.bordered import Bordered, FewEach
-from rotcal_ros.adjust.circles import Circular
-from rotcal_ros.adjust.kernels import Defined, Updated, Whole, WholeMatrix
+from rotcal_ros.adjust.bordered import BorderedKernel, SparseDesign
+from rotcal_ros.adjust.circles import CircularDesign
+from rotcal_ros.adjust.kernels import (
+    ConstrainedKernel,
+    DenseDesign,
+    DenseKernel,
+    LowRankUpdateKernel,
+)
 from rotcal_ros.adjust.outputs import Outputs
 
 
@@ -93,7 +98,7 @@ def bordered(draw):
     columns = random.standard_normal((len(few) + known, extra)) if extra else None
     pattern = csr_array((few != 0.0) | (np.arange(few.shape[1]) == 0))
     few = csr_array((few[pattern.nonzero()], pattern.indices, pattern.indptr), shape=few.shape)
-    return FewEach(few, more, columns), random
+    return SparseDesign(few, more, columns), random
 
 
 @given(bordered(), st.integers(0, 6))
@@ -105,7 +110,7 @@ def test_blocks_and_a_border(drawn, left_out):
     expected = Reference(white.dense())
     assume(expected.firm)
     kernel = white.kernel()
-    assert isinstance(kernel, Bordered)
+    assert isinstance(kernel, BorderedKernel)
     agrees(kernel, expected, random)
 
 
@@ -116,9 +121,9 @@ def test_the_whole_matrix_itself(n, p, open_, seed):
     matrix = np.hstack([matrix, matrix[:, :open_] * 3.0])
     expected = Reference(matrix)
     assume(expected.firm)
-    agrees(Whole.of(WholeMatrix(matrix), np.zeros(0, dtype=int)), expected, random)
+    agrees(DenseKernel.of(DenseDesign(matrix), np.zeros(0, dtype=int)), expected, random)
     held = np.arange(p, matrix.shape[1])
-    agrees(Whole.of(WholeMatrix(matrix), held), expected, random)
+    agrees(DenseKernel.of(DenseDesign(matrix), held), expected, random)
 
 
 def circular(random, size, shifts):
@@ -129,7 +134,7 @@ def circular(random, size, shifts):
     value = np.tile([1.0, -1.0, 1.0], len(table))
     begin = 3 * np.arange(len(table) + 1)
     rows = csr_array((value, column.ravel(), begin), shape=(len(table), 2 * size + len(shifts)))
-    return Circular.of(rows, 2, size)
+    return CircularDesign.of(rows, 2, size)
 
 
 @given(st.integers(5, 16), st.integers(0, 4), st.integers(0, 2), st.integers(0, 2**32))
@@ -152,7 +157,7 @@ def test_circles_with_readings_left_out_and_effects(size, left_out, effects, see
 def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, whole):
     design, random = drawn
     n = design.shape[0]
-    base = Whole.of(design, np.zeros(0, dtype=int)) if whole else design.kernel()
+    base = DenseKernel.of(design, np.zeros(0, dtype=int)) if whole else design.kernel()
     out = random.choice(design.few.shape[0], left_out, replace=False)
     share = np.ones(n)
     share[out] = 0.0
@@ -161,7 +166,9 @@ def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, w
     expected = Reference(np.hstack([rest.dense(), extra]))
     assume(expected.firm)
     assume(np.abs(np.linalg.eigvalsh(np.eye(left_out) - base.among(out))).min(initial=1.0) > 1e-4)
-    kernel = Updated.of(base, rest, share, (design.rows(out), -np.ones(left_out)), extra)
+    kernel = LowRankUpdateKernel.of(
+        base, rest, share, (design.rows(out), -np.ones(left_out)), extra
+    )
     assume(kernel is not None)
     agrees(kernel, expected, random)
 
@@ -173,13 +180,13 @@ def test_what_many_rows_show_together(form, each):
     random = np.random.default_rng(7)
     matrix = np.hstack([np.eye(60)[np.repeat(np.arange(60), 5)], random.standard_normal((300, 3))])
     matrix[:, :60] *= random.uniform(0.5, 2.0, 300)[:, None]
-    design = FewEach(csr_array(matrix), random.standard_normal((2, 63)))
+    design = SparseDesign(csr_array(matrix), random.standard_normal((2, 63)))
     rows = np.append((np.arange(40)[:, None] * 5 + np.arange(each)).ravel(), 301)
     kernel = {
         "groups": design.kernel,
-        "whole": lambda: Whole.of(design, np.zeros(0, dtype=int)),
-        "defined": lambda: Defined.of(design.kernel(), np.ones((1, 63))),
-        "changed": lambda: Updated.of(
+        "whole": lambda: DenseKernel.of(design, np.zeros(0, dtype=int)),
+        "defined": lambda: ConstrainedKernel.of(design.kernel(), np.ones((1, 63))),
+        "changed": lambda: LowRankUpdateKernel.of(
             design.kernel(), design, np.ones(302), (design.rows(rows[:0]), np.zeros(0)),
             random.standard_normal((302, 1)),
         ),

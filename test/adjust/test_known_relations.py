@@ -7,22 +7,22 @@ import pytest
 from chances import LONG, most, share
 from scipy import stats
 
-from rotcal_ros.adjust.closures import Closed
+from rotcal_ros.adjust.closures import ClosureTest
 from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
     Disturbing,
-    Expected,
     Grouping,
     KnownRelation,
     Model,
     Steps,
     Unit,
+    UnseenEventPrior,
     indicators,
     linear,
 )
-from rotcal_ros.adjust.observable import family_observable_by
+from rotcal_ros.adjust.observable import observe_family
 
 SIGMA, M, READ = 1e-6, 12, 4
 MICRON = Unit("um", 1e-6)
@@ -91,10 +91,10 @@ def test_moves_are_seen_by_both(ways):
     knock = Disturbing("knock", "it moved", move, 1e-3, MICRON, family=True)
     _, model = turn(np.random.default_rng(4), effect=knock)
     fit = adjust(model).fit
-    closed = Closed(fit, KnownRelation("", np.ones((1, M)), 2e-7), 1.0, np.inf)
+    closed = ClosureTest(fit, KnownRelation("", np.ones((1, M)), 2e-7), 1.0, np.inf)
     written = replace(knock, columns=move.whole(), of_each=move.width)
-    one = closed.beside(knock, family_observable_by(fit, move))
-    two = closed.beside(written, family_observable_by(fit, move.whole(), move.width))
+    one = closed.beside(knock, observe_family(fit, move))
+    two = closed.beside(written, observe_family(fit, move.whole(), move.width))
     white = move.whole() / SIGMA
     sums = np.ones(M) @ np.linalg.pinv(indicators((np.repeat(np.arange(M), READ), M))) * SIGMA
     root = np.sqrt(sums @ sums + 2e-7**2)
@@ -123,7 +123,7 @@ def drifting(rng, slip, probability=0.5):
         blocks={"place": 8, "zero": 3}, observed=observed, std=np.full(24, SIGMA),
         equations=linear(indicators((place, 8), (run, 3))), outputs=outputs, words=WORDS,
         unit=MICRON, groupings=(Grouping("run", run),), effects=(slips,),
-        expected=[Expected(slips, slip, probability)] if probability else (),
+        expected=[UnseenEventPrior(slips, slip, probability)] if probability else (),
     )  # fmt: skip
 
 
@@ -148,7 +148,7 @@ def test_trials_hold_expected_slips():
     assert drawn.std(axis=0) == pytest.approx(found.std, rel=0.03)
     assert np.sqrt(found.covariance.diagonal()) == pytest.approx(found.std)
     bare = adjust(replace(model, expected=()))
-    seen = family_observable_by(found.fit, model.effects[0].columns)
+    seen = observe_family(found.fit, model.effects[0].columns)
     more = np.zeros(8)
     ratio = np.exp(-0.5 * seen.information[:, 0, 0] * (4 * SIGMA) ** 2)
     ratio *= np.cosh(seen.score[:, 0] * 4 * SIGMA) / 21

@@ -8,9 +8,9 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust import designs
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.kernels import Defined
+from rotcal_ros.adjust.kernels import ConstrainedKernel
 from rotcal_ros.adjust.model import Grouping, Model, Unit, linear
 from rotcal_ros.foundation.errors import ObservabilityError
 
@@ -113,11 +113,13 @@ def test_parts_that_nothing_joins_are_defined_each(sparse, monkeypatch):
         model, outputs=np.eye(12) - np.repeat(means, 6, axis=0), definitions=None, start=None
     )
     one, other = adjust(model), adjust(by_outputs)
-    assert isinstance(one.fit.kernel, Defined)
+    assert isinstance(one.fit.kernel, ConstrainedKernel)
     assert one.fit.dof == other.fit.dof == 20
     assert one.value == pytest.approx(other.value, abs=1e-15)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-24)
     with pytest.raises(ObservabilityError, match="level"):
         adjust(replace(model, definitions=means[:1]))
     every = np.ones(30, dtype=np.bool_)
-    assert means @ fitted(model, every, model.std, model.first).x == pytest.approx(0.0, abs=1e-15)
+    assert means @ fit_model(model, every, model.std, model.first).x == pytest.approx(
+        0.0, abs=1e-15
+    )

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from rotcal_ros.adjust.causes import found_causes
+from rotcal_ros.adjust.causes import diagnose_causes
 from rotcal_ros.adjust.diagnosis import Limits
-from rotcal_ros.adjust.look import Look
+from rotcal_ros.adjust.look import SolutionView
 from rotcal_ros.adjust.model import Model, Words, linear
-from rotcal_ros.adjust.noise import PRIOR, NoiseEvidence, bent_squares, estimate_factors
+from rotcal_ros.adjust.noise import PRIOR, NoiseEvidence, estimate_factors, robust_squares
 
 
 def evidence_of(squares, factors, dof):
@@ -52,9 +52,9 @@ def test_bent_squares_of_sound_residuals_keep_their_sum():
     rng = np.random.default_rng(2)
     redundancy = rng.uniform(0.1, 1.0, 200_000)
     squares = redundancy * rng.standard_normal(200_000) ** 2
-    bent = bent_squares(squares, redundancy, 1e-6)
+    bent = robust_squares(squares, redundancy, 1e-6)
     assert bent.sum() == pytest.approx(redundancy.sum(), rel=5e-3)
-    assert bent_squares(np.array([1e6]), np.array([0.5]), 1e-6)[0] < 4.0
+    assert robust_squares(np.array([1e6]), np.array([0.5]), 1e-6)[0] < 4.0
 
 
 def known_places(places, each, noise, apart, seed):
@@ -97,15 +97,15 @@ def test_the_estimate_is_where_restricted_likelihood_is_largest(places, each, no
 
     best = optimize.minimize(surprise, np.zeros(2), method="Nelder-Mead",
                              options={"xatol": 1e-7, "fatol": 1e-10})  # fmt: skip
-    found = found_causes(model, Limits()).noise
+    found = diagnose_causes(model, Limits()).noise
     assert found.estimated is not None
     assert np.log(found.factors) == pytest.approx(best.x, abs=0.01)
 
 
 def test_exact_places_say_nothing_of_the_scatter_of_others():
     """As targets that are typed without error: beside them all readings would scatter too much."""
-    found = found_causes(known_places(40, 60, 0.6, 0.0, 2), Limits())
-    chi2, dof = Look(found, found.fit).rest
+    found = diagnose_causes(known_places(40, 60, 0.6, 0.0, 2), Limits())
+    chi2, dof = SolutionView(found, found.fit).rest
     assert chi2 / dof == pytest.approx(1.0, abs=0.02)
     assert found.fit.chi2 / found.fit.dof < 0.985
 
@@ -121,6 +121,6 @@ def test_what_is_stated_beside_made_up_readings_stays(noise, stated):
         Words("reading", "readings", "readings", "contradicts other readings"),
     )  # fmt: skip
     known = model.with_prior("what is stated", np.eye(places), np.zeros(places), 1.0)
-    factors = found_causes(known, Limits()).noise.factors
+    factors = diagnose_causes(known, Limits()).noise.factors
     assert factors[0] == pytest.approx(1.0, abs=0.3)
     assert (factors[1] == 1.0) == stated

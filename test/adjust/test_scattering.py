@@ -11,7 +11,7 @@ from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.error_motion import Spectrum
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Grouping, Model, Unit, linear
-from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.adjust.observable import observe_columns
 
 SIGMA, READ = 1e-6, 4
 MICRON = Unit("um", 1e-6)
@@ -179,7 +179,7 @@ def test_an_effect_is_tested_by_the_covariance_of_what_scatters():
     _, model = stations(18, rng, 2.0 * SIGMA, ways=ways, kind=ways[0][1])
     fit = adjust(model).fit
     (each,) = fit.model.scatterings
-    seen = observable_by(fit, np.pad(errors, ((0, 18), (0, 0))))
+    seen = observe_columns(fit, np.pad(errors, ((0, 18), (0, 0))))
     white = np.pad(errors / SIGMA, ((0, 18), (0, 0)))
     sizes = each.beside(fit, white)[1]
     squares, weight = each.squares_of(fit, white, seen.score, seen.information)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.adjust.sensitivity import Moment, Sensitivity, total
+from rotcal_ros.adjust.sensitivity import ErrorMoments, Sensitivity, sum_moments
 
 
 @pytest.mark.parametrize("shared", [True, False])
@@ -17,7 +17,7 @@ def test_sums_over_groups_are_those_of_the_whole_matrices(shared):
         along = rng.standard_normal((2 if shared else 6, n))
         own, at = rng.standard_normal((3, n)), np.array([1, 2, 4])
         whole = Sensitivity.whole(along)
-        moment = Moment(
+        moment = ErrorMoments(
             Sensitivity(along, common, at, own) if shared else whole,
             rng.standard_normal(n),
             root @ root.T,
@@ -32,6 +32,6 @@ def test_sums_over_groups_are_those_of_the_whole_matrices(shared):
         assert twice.dense() == pytest.approx(2.0 * dense)
         mean += dense @ moment.first
         second += dense @ moment.square @ dense.T
-    found = total(moments, 6)
+    found = sum_moments(moments, 6)
     assert found[0] == pytest.approx(mean)
     assert found[1] == pytest.approx(second)

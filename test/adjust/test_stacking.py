@@ -5,8 +5,8 @@ import pytest
 
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Expected, Grouping, Model, Unit, linear
-from rotcal_ros.adjust.stacking import reparametrised, stacked, whitened
+from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit, UnseenEventPrior, linear
+from rotcal_ros.adjust.stacking import reparametrise, stack_models, whiten
 
 PLACES, ARM = 5, 0.2
 WORDS = Words("readings", "a draught", "there", "there")
@@ -36,8 +36,8 @@ def both(**more):
     drift = Disturbing("drift", "it drifts", np.linspace(0.0, 1.0, 15)[:, None], 1e-3)
     level = model(LEVEL, 2e-7, {"place": PLACES}, 1, effects=[drift])
     gauge = model(GAUGE, 1e-7, {"place": PLACES, "zero": 1}, 2, **more)
-    parts = {"level": whitened(level), "gauge": whitened(gauge)}
-    return level, gauge, stacked(parts, {"place": PLACES}, np.eye(PLACES), WORDS)
+    parts = {"level": whiten(level), "gauge": whiten(gauge)}
+    return level, gauge, stack_models(parts, {"place": PLACES}, np.eye(PLACES), WORDS)
 
 
 def test_it_is_the_least_squares_of_all_readings_in_their_noise():
@@ -88,7 +88,7 @@ def test_other_unknowns_give_the_same_outputs():
         gauge.blocks, gauge.observed, gauge.std, gauge.equations,
         gauge.outputs - gauge.outputs[0], WORDS,
     )  # fmt: skip
-    steps = reparametrised(gauge, to, {"step": PLACES, "zero": 1})
+    steps = reparametrise(gauge, to, {"step": PLACES, "zero": 1})
     one, other = adjust(gauge), adjust(steps)
     np.testing.assert_allclose(other.value, one.value, atol=1e-15)
     np.testing.assert_allclose(other.covariance, one.covariance, atol=1e-20)
@@ -104,7 +104,7 @@ BLOCKS = {"place": PLACES, "zero": 1}
     "alone",
     [
         model(ZEROED, 2e-7, BLOCKS, 3, definitions=np.append(np.ones(PLACES), 0.0)[None]),
-        model(LEVEL, 2e-7, {"place": PLACES}, 3, expected=[Expected(SLIP, 8e-7, 0.5)]),
+        model(LEVEL, 2e-7, {"place": PLACES}, 3, expected=[UnseenEventPrior(SLIP, 8e-7, 0.5)]),
         model(LEVEL, 1e-5, {"place": PLACES}, 3).scattering(
             "the places", np.eye(4, PLACES, 1) - np.eye(4, PLACES), 8e-6, 1e-4
         ),
@@ -115,6 +115,6 @@ def test_what_a_model_says_beside_its_readings_holds_in_others_units_too(alone):
     blocks = dict(alone.blocks)
     outputs = np.eye(PLACES, alone.size[1])
     one = adjust(alone)
-    other = adjust(stacked({"level": whitened(alone)}, blocks, outputs, WORDS))
+    other = adjust(stack_models({"level": whiten(alone)}, blocks, outputs, WORDS))
     np.testing.assert_allclose(other.value, one.value, rtol=1e-6, atol=1e-13)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-5, atol=1e-20)

@@ -4,11 +4,11 @@ import numpy as np
 from linear_worlds import places_on_a_ring
 
 from rotcal_ros.adjust.subsets import (
-    distinct,
-    most_of,
+    contiguous_runs,
+    distinct_subsets,
+    largest_wrong_count,
     neighbourhoods,
     neighbourhoods_of_each,
-    runs,
 )
 
 
@@ -17,12 +17,12 @@ def as_sets(subsets):
 
 
 def test_runs_in_time_are_all_unbroken_stretches_up_to_half():
-    found = as_sets(runs(np.array([3.0, 1.0, 2.0, 0.0])))
+    found = as_sets(contiguous_runs(np.array([3.0, 1.0, 2.0, 0.0])))
     assert found == {frozenset(s) for s in ([3, 1], [1, 2], [2, 0])}
 
 
 def test_runs_round_a_circle_close():
-    found = as_sets(runs(np.arange(6.0), closed=True))
+    found = as_sets(contiguous_runs(np.arange(6.0), closed=True))
     assert frozenset([5, 0]) in found
     assert len(found) == 12  # six pairs, six threes
 
@@ -31,7 +31,7 @@ def test_neighbourhoods_are_the_nearest():
     found = as_sets(neighbourhoods(places_on_a_ring(8) * [1.0, 1.001]))
     assert frozenset([7, 0, 1]) in found
     assert frozenset([0, 4]) not in found
-    assert max(map(len, found)) == most_of(8) == 4
+    assert max(map(len, found)) == largest_wrong_count(8) == 4
 
 
 def test_neighbourhoods_of_several_groups_are_those_of_each():
@@ -46,6 +46,6 @@ def test_neighbourhoods_of_several_groups_are_those_of_each():
 
 def test_distinct_keeps_each_once_in_order():
     a = np.array([[True, False, True], [False, True, True]])
-    assert distinct(a, a[::-1]).tolist() == a.tolist()
+    assert distinct_subsets(a, a[::-1]).tolist() == a.tolist()
     by_columns = np.asfortranarray(np.array([[True, False, True]] * 2 + [[False, True, True]]))
-    assert distinct(by_columns).tolist() == a.tolist()
+    assert distinct_subsets(by_columns).tolist() == a.tolist()

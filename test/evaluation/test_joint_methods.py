@@ -13,9 +13,9 @@ from six_scene import on_circle, scene
 from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 
 from rotcal_ros.adjust.effects import effect_test
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.model import Disturbing, Model, linear
-from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.adjust.observable import observe_columns
 from rotcal_ros.evaluation.joint import JointInput, combine, solve_together
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -347,8 +347,8 @@ def test_errors_in_common_are_those_of_the_whole_covariance():
     for columns in (column, lambda computed: column + 0.0 * computed[:, None]):
         drift = Disturbing("drift", "it drifts", columns, 1.0)
         spoiled = replace(model, effects=(drift,)).with_common_errors(common)
-        fit = fitted(spoiled, np.full(9, True), spoiled.std, spoiled.first)
-        test = effect_test(observable_by(fit, spoiled.effects[0].at(fit.computed)))
+        fit = fit_model(spoiled, np.full(9, True), spoiled.std, spoiled.first)
+        test = effect_test(observe_columns(fit, spoiled.effects[0].at(fit.computed)))
         assert test.squares == pytest.approx(read @ of_all @ read, rel=1e-9)
     reads = Disturbing("scale", "its scale is wrong", lambda computed: computed[:, None], 1.0)
     scaled = replace(model, effects=(reads,)).with_common_errors(common)

@@ -41,7 +41,7 @@ def solved(radial: float):
     stations[:, 0] += radial * np.cos(2.0 * angles)
     streams = (noise, noise)  # nothing is drawn from the second
     return calibration.solve(
-        simulation.observed(configuration, calibration.plan, stations, {}, streams)
+        simulation.observe_plan(configuration, calibration.plan, stations, {}, streams)
     )
 
 

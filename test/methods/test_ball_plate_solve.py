@@ -9,7 +9,7 @@ from coded import coded
 from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
 
 from rotcal_ros.adjust.engine import SCATTERS
-from rotcal_ros.adjust.kernels import Defined
+from rotcal_ros.adjust.kernels import ConstrainedKernel
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -38,7 +38,7 @@ def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
     problem, _ = simulated(12, [0, 1, 3, 7, 8, 10])
     layout = PlateLayout(problem)
     kernel, outputs = layout.circular.kernel(), Outputs.alone(layout.curves())
-    defined = Defined.of(kernel, layout.definitions)
+    defined = ConstrainedKernel.of(kernel, layout.definitions)
     noise = 5e-8 * np.random.default_rng(1).standard_normal((problem.centres.size, 1000))
     error, left = outputs.times(defined.solve(noise)), noise - kernel.projected(noise)
     variance = (left**2).sum(axis=0) / (len(noise) - kernel.rank)

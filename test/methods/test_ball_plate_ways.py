@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plate_data import PAPER_PLATE, RADIUS, in_cmm_order, simulated
 
-from rotcal_ros.adjust.kernels import Defined, Updated, Whole
+from rotcal_ros.adjust.kernels import ConstrainedKernel, DenseKernel, LowRankUpdateKernel
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.solver import closed_form, solve
@@ -39,8 +39,8 @@ def linear(problem):
     rows, model = PlateRows(layout), plate_model(layout)
     own = np.ones(len(model.std)) if problem.std is None else model.std
     white = model.linearised(model.first)[1].weighted(1.0 / own)
-    kernel = white.kernel() or Whole.of(white, np.zeros(0, dtype=int))
-    defined = Defined.of(kernel, model.definitions)
+    kernel = white.kernel() or DenseKernel.of(white, np.zeros(0, dtype=int))
+    defined = ConstrainedKernel.of(kernel, model.definitions)
     read = rows.of(problem.deviations[layout.row][:, :, None]).ravel() / own
     x = defined.solve(read)
     outputs = model.output_rows
@@ -69,7 +69,7 @@ def assert_dense(problem):
 )
 def test_order_by_order_is_the_dense_form(grid, count):
     problem, _ = simulated(grid, random_balls(grid, count, grid + count), seed=count)
-    assert isinstance(assert_dense(problem), Updated)
+    assert isinstance(assert_dense(problem), LowRankUpdateKernel)
 
 
 @pytest.mark.parametrize(("grid", "count", "positions"), [(12, 12, 7), (24, 9, 19), (36, 8, 30)])
@@ -80,7 +80,7 @@ def test_reduced_positions_and_gaps_are_the_dense_form(grid, count, positions):
     keep = np.ones(len(part.centres), dtype=bool)
     keep[rng.choice(len(keep), 4, replace=False)] = False
     for each in (part, part.take(keep)):
-        assert not isinstance(assert_dense(each), Updated)
+        assert not isinstance(assert_dense(each), LowRankUpdateKernel)
 
 
 @pytest.mark.parametrize(("grid", "count", "missing"), [(12, 7, 3), (24, 8, 9), (72, 6, 12)])
@@ -89,14 +89,14 @@ def test_a_few_gaps_are_a_low_rank_beside_the_orders(grid, count, missing):
     rng = np.random.default_rng(missing)
     gone = rng.choice(len(problem.centres), missing, replace=False)
     part = problem.take(np.setdiff1d(np.arange(len(problem.centres)), gone))
-    assert isinstance(assert_dense(part), Updated)
+    assert isinstance(assert_dense(part), LowRankUpdateKernel)
 
 
 def test_unequal_weights_and_repeated_centres_are_the_dense_form():
     problem, _ = simulated(24, random_balls(24, 8, 1), seed=5)
     rng = np.random.default_rng(2)
     twice = problem.take(np.concatenate([np.arange(len(problem.centres)), [3, 50, 51]]))
-    assert isinstance(assert_dense(replace(twice, row=None)), Updated)
+    assert isinstance(assert_dense(replace(twice, row=None)), LowRankUpdateKernel)
     weighted = replace(twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7)
     assert_dense(weighted)
 

@@ -8,7 +8,7 @@ import pytest
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.methods.dry_run import DryRun, describe
+from rotcal_ros.methods.dry_run import DryRun, describe_duration
 
 OWN = Path(__file__).parents[2] / "examples" / "own_cell" / "own_cell.yaml"
 CONFIG = Path(__file__).parents[2] / "config"
@@ -107,4 +107,4 @@ def test_every_configuration_that_comes_along_can_be_gone_through(path):
     ("seconds", "words"), [(58.4, "58 s"), (290, "5 min"), (7500, "2 h 05 min")]
 )
 def test_times_are_as_people_say_them(seconds, words):
-    assert describe(seconds) == words
+    assert describe_duration(seconds) == words

@@ -9,7 +9,7 @@ import rotcal_ros as rc
 from rotcal_ros.foundation.observations import Command
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
-from rotcal_ros.methods.simulated_run import disturbed, seen_truth, simulated_run
+from rotcal_ros.methods.simulated_run import disturb_events, simulated_run, visible_truth
 
 FOLDER = Path(__file__).parents[2] / "research" / "data_set"
 each_plan = pytest.mark.parametrize("plan", ["tracer", "tracer_six", "ball_plate", "plane_mirror"])
@@ -50,7 +50,7 @@ def test_a_run_orders_every_step_once_and_shows_the_simulated_table(plan, runs):
     orders = [event.what.step for event in events if isinstance(event.what, Command)]
     assert orders == list(range(len(calibration.plan.steps)))
     result = calibration.solve([o for event in events for o in event.observed])
-    largest = max(np.abs(pull).max() for pull in pulls(result, seen_truth(calibration)))
+    largest = max(np.abs(pull).max() for pull in pulls(result, visible_truth(calibration)))
     assert largest < 4.5
 
 
@@ -59,7 +59,7 @@ def test_a_run_orders_every_step_once_and_shows_the_simulated_table(plan, runs):
 def test_a_measurement_without_error_changes_nothing(plan, runs):
     calibration, events = runs(plan)
     exact = DisturbedMeasurement(calibration.nominal_observations(), {})
-    same = disturbed(events, calibration, exact)
+    same = disturb_events(events, calibration, exact)
     assert all(a[:3] == b[:3] for a, b in zip(events, same, strict=True))
 
 
@@ -70,7 +70,7 @@ def test_what_was_measured_is_in_the_readings(plan, runs):
     effect = "error motion" if plan in ("tracer_six", "ball_plate") else "gauge"
     size = {"error motion": 2e-6, "gauge": 100.0 * rc.ARCSEC}[effect]
     measured = calibration.measured({effect: size}, 5)
-    found = observations_of(calibration, disturbed(events, calibration, measured))
+    found = observations_of(calibration, disturb_events(events, calibration, measured))
     before = [o for event in events for o in event.observed]
     nominal = calibration.nominal_observations()
     for was, now, exact, wanted in zip(before, found, nominal, measured.observations, strict=True):
@@ -78,5 +78,5 @@ def test_what_was_measured_is_in_the_readings(plan, runs):
             np.subtract(*pair) for pair in ((now.mean, was.mean), (wanted.mean, exact.mean))
         )
         assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm(shift), abs=2e-8)
-    result, truth = calibration.solve(found), seen_truth(calibration, measured)
+    result, truth = calibration.solve(found), visible_truth(calibration, measured)
     assert max(np.sqrt(np.mean(pull**2)) for pull in pulls(result, truth)) < 2.0

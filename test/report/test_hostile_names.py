@@ -98,7 +98,7 @@ def test_a_figure_draws_it_as_it_is(kind):
     """As label of a curve, of an axis, of ticks and as a note; letters instead of their shapes."""
     name = NAMES[kind]
 
-    @style.styled
+    @style.house_style
     def drawn():
         import matplotlib as mpl
 

@@ -106,7 +106,7 @@ def test_the_dark_knows_every_colour_of_the_figures(page):
     assert f"var(--figure-blue, {style.BLUE})" in page
 
 
-@style.styled
+@style.house_style
 def drawing(name):
     (ax,) = style.grid()
     ax.plot([0.0, 360.0], [0.0, 1.0], label=name)

@@ -23,9 +23,9 @@ from rotcal_ros.methods.dry_run import DryRun, Prospect
 from rotcal_ros.methods.method import find_method, method_names
 from rotcal_ros.methods.new_setup import (
     Known,
+    full_turn_settings,
     given_value,
     known_settings,
-    of_a_turn,
     setup_text,
     values_of_tables,
 )
@@ -213,7 +213,7 @@ def _best(
 def _predicted(instrument: str, way: Route, goal: Goal, known: Known, stated: Changes) -> Advice:
     """Return what a set-up with the settings ``stated`` would give; raises what refuses it."""
     given = dict(given_value(way.method, known, change) for change in stated)
-    values = {**values_of_tables(way.method), **of_a_turn(known, goal.positions), **given}
+    values = {**values_of_tables(way.method), **full_turn_settings(known, goal.positions), **given}
     rests = {
         name: values.get(name, known[name].default)
         for name in known

@@ -117,7 +117,7 @@ def _ewma_length(edge: float) -> float:
     return float(lengths[states // 2])
 
 
-@style.styled
+@style.house_style
 def chart_and_forecast(
     curves: DeviationSeries, trend: Trend, until_ns: int, chart: Chart, basis: Basis
 ) -> str:

@@ -247,7 +247,7 @@ def _figures(
     )
 
 
-@style.styled
+@style.house_style
 def draw_ways(truth: Floats, ours: Mapping[Way, Result], printed: Recipes) -> str:
     """Draw the curves of both recipes and of our joint way beside the ``truth`` (17,), rad."""
     (ax,) = style.grid()
@@ -269,7 +269,7 @@ def draw_ways(truth: Floats, ours: Mapping[Way, Result], printed: Recipes) -> st
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def draw_spread(scattered: Recipes) -> str:
     """Draw the rms error (17,), rad, of registration and of stitching."""
     (ax,) = style.grid()

@@ -91,7 +91,7 @@ def largest_expanded(result: Result) -> dict[str, float]:
     return {name: COVERAGE_FACTOR * float(result.std[name].max()) for name in COMPONENTS}
 
 
-@style.styled
+@style.house_style
 def draw_components(
     curves: Mapping[str, tuple[Floats, Mapping[str, Floats]]], names: Sequence[str] = COMPONENTS
 ) -> str:

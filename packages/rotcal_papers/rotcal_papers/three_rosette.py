@@ -208,7 +208,7 @@ def _figures(results: Mapping[str, Result]) -> tuple[Figure, ...]:
     )
 
 
-@style.styled
+@style.house_style
 def draw_order(count: int) -> str:
     """Draw which ball is measured where, for a plate with ``count`` balls and as many steps."""
     (ax,) = style.grid(height=3.4)

@@ -292,7 +292,7 @@ def _figures(found: _Found) -> tuple[Figure, ...]:
     )
 
 
-@style.styled
+@style.house_style
 def draw_path(targets: Floats) -> str:
     """Draw the way through the ``targets`` (n, 3) m from above and from the side."""
     above, side = style.grid(1, 2)
@@ -307,7 +307,7 @@ def draw_path(targets: Floats) -> str:
     return style.svg(above)
 
 
-@style.styled
+@style.house_style
 def draw_plane(motion: TableMotion, axial: Floats) -> str:
     """Draw the stations about their centre, and ``axial`` distances (m,) m from their plane."""
     above, residuals = style.grid(1, 2)
@@ -333,7 +333,7 @@ def draw_plane(motion: TableMotion, axial: Floats) -> str:
     return style.svg(above)
 
 
-@style.styled
+@style.house_style
 def draw_deviations(result: Result, printed: Floats) -> str:
     """Draw steps and curve of the ``result`` beside the ``printed`` steps (arcsec)."""
     assert result.adjacent_deviations is not None

@@ -37,7 +37,7 @@ from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonSimulationSettings,
     ComparisonSolverSettings,
 )
-from rotcal_ros.methods.arrivals import both_ways
+from rotcal_ros.methods.arrivals import bidirectional_arrivals
 from rotcal_ros.methods.by_model import TRUE_SIZE, ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration, changed
 from rotcal_ros.methods.disturbance import harmless, of_readings, repeatability
@@ -250,7 +250,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure
     ]
 
 
-@style.styled
+@style.house_style
 def _reference(details: Mapping[str, Any]) -> str:
     if REFERENCE not in details["also"]:
         return ""
@@ -268,7 +268,7 @@ METHOD: Final = ByModel(
     NAME,
     model,
     states,
-    arrivals=lambda configuration: both_ways(configuration.plan),
+    arrivals=lambda configuration: bidirectional_arrivals(configuration.plan),
     sign=lambda configuration: SIGNS[configuration.solver.readings_count],
     drawn=drawn,
 ).method(

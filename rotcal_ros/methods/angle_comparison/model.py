@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.circles import Circular
+from rotcal_ros.adjust.circles import CircularDesign
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Disturbing, Grouping, Model, instrument_effects, linear
 from rotcal_ros.adjust.outputs import Outputs
@@ -198,7 +198,9 @@ def _leaning(circles: Circles, read: Readings, settings: int) -> Floats:
     return np.asarray((each[:, :, None] * waves[:, None]).reshape(len(angle), -1))
 
 
-def _design(circles: Circles, read: Readings, mark: int, unknowns: int) -> Circular | csr_array:
+def _design(
+    circles: Circles, read: Readings, mark: int, unknowns: int
+) -> CircularDesign | csr_array:
     """Return the design of readings, of ``mark`` errors of the reference and all ``unknowns``.
 
     Where the reference has the same places as the table it is solved order by order.
@@ -214,4 +216,4 @@ def _design(circles: Circles, read: Readings, mark: int, unknowns: int) -> Circu
     rows = csr_array(entries, shape=(len(column), unknowns))
     if not mark or table % mark:
         return rows
-    return Circular.of(rows, table // mark + 1, mark)
+    return CircularDesign.of(rows, table // mark + 1, mark)

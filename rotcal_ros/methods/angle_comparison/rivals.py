@@ -17,7 +17,7 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.fit import Fit, fit_model
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
@@ -174,7 +174,7 @@ def _solved(model: Model, found: Adjusted) -> Fit | None:
     extra = (e.columns for e in found.diagnosis.nuisance)
     columns = np.column_stack([np.zeros((model.size[0], 0)), *extra])
     try:
-        fit = fitted(model, found.fit.used, found.fit.std, model.first, columns)
+        fit = fit_model(model, found.fit.used, found.fit.std, model.first, columns)
         return fit if fit.kernel.rank else None
     except RotcalError:
         return None
@@ -182,7 +182,7 @@ def _solved(model: Model, found: Adjusted) -> Fit | None:
 
 def _chance(model: Model) -> float:
     try:
-        fit = fitted(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
+        fit = fit_model(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
         return chi2_sf(fit.chi2, fit.dof) if fit.dof else 1.0
     except RotcalError:
         return 0.0

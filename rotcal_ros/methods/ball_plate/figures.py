@@ -66,7 +66,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
     ]
 
 
-@style.styled
+@style.house_style
 def set_up(result: Result) -> str:
     """Draw the circle of the balls about the axis with the grid of table positions, to scale."""
     radius = float(result.details["radius"]) / MILLIMETRE
@@ -93,7 +93,7 @@ def set_up(result: Result) -> str:
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def plate_errors(result: Result) -> str:
     """Draw the plate errors of every ball as bars with k = 2 whiskers."""
     (ax,) = style.grid(height=3.0)
@@ -116,7 +116,7 @@ def plate_errors(result: Result) -> str:
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def machine_errors(result: Result) -> str:
     """Draw the machine's errors over the angle of the measuring position with k = 2 bands."""
     panels = style.grid(3, 1, height=1.7, sharex=True)
@@ -133,7 +133,7 @@ def machine_errors(result: Result) -> str:
     return style.svg(panels[0])
 
 
-@style.styled
+@style.house_style
 def residual_maps(result: Result) -> str:
     """Draw radial, tangential and axial residuals as maps by ball and both kinds of position."""
     rows, more = result.residuals, result.details["residual_rows"]
@@ -171,7 +171,7 @@ def residual_maps(result: Result) -> str:
     return style.svg(panels[0])
 
 
-@style.styled
+@style.house_style
 def centre_tests(result: Result) -> str:
     """Draw the test value of every centre in the order of measurement."""
     rows = result.residuals

@@ -32,11 +32,11 @@ from rotcal_ros.methods.disturbance import (
     angle_numbers,
     arrival_errors,
     error_motion,
+    random_streams,
+    relative_times,
     repeatability,
-    streams,
     table_deviations,
     tilt,
-    times,
 )
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
 from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
@@ -279,7 +279,7 @@ def measure(
 
     The table has no deviations but those that ``sizes`` give it, which are true ones.
     """
-    noise, other = streams(seed)
+    noise, other = random_streams(seed)
     true = table_deviations(len(plan.distinct_angles), sizes, other)
     position = angle_numbers(plan)[[step.table_position for step in plan.steps]]
     place = np.array([step.position for step in plan.steps])
@@ -289,7 +289,7 @@ def measure(
     machine = MACHINE_STD * noise.standard_normal((int(which.max()) + 1, 3))
     centres = centres + np.array(configuration.plan.centre_m) + machine[which]
     centres[:, 0] *= 1.0 + sizes.get("scale", 0.0)
-    centres += sizes.get("drift", 0.0) * np.outer(times(plan), ALL_AXES)
+    centres += sizes.get("drift", 0.0) * np.outer(relative_times(plan), ALL_AXES)
     # a quarter of the balls, neighbours, at a middle position
     ball, at = np.array([(step.target, step.table_position) for step in plan.steps]).T
     balls = np.unique(ball)
@@ -320,9 +320,9 @@ def _true_centres(
     plate = settings.plate.places + PLATE_STD * noise.standard_normal((settings.plate.grid, 3))
     plate = plate + OFF_CENTRE * off * np.array([1.0, 0.0, 0.0])
     balls = plate[[step.target for step in plan.steps]]
-    balls = balls * (1.0 + sizes.get("growth", 0.0) * times(plan))[:, None]
+    balls = balls * (1.0 + sizes.get("growth", 0.0) * relative_times(plan))[:, None]
     knock = sizes.get("knock", 0.0) * ALL_AXES
-    after = times(plan) >= 0.5
+    after = relative_times(plan) >= 0.5
     turned = balls @ rotation_from_vector(knock / settings.plate.circle_radius_m).T + knock
     balls = np.where(after[:, None], turned, balls)
     angle = np.array([step.table_angle for step in plan.steps]) - settings.table_start_deg * DEGREE

@@ -28,7 +28,7 @@ LARGE: Final = 12.0
 """Times its widest band that a curve spans when the band can no longer be seen beside it."""
 
 
-@style.styled
+@style.house_style
 def deviations(
     result: Result, truth: Mapping[str, Any] | None = None, *, valid: bool = True
 ) -> str:
@@ -40,10 +40,10 @@ def deviations(
     return style.svg(_deviation_panels(result, truth, valid=valid))
 
 
-@style.styled
+@style.house_style
 def plot(result: Result, truth: Mapping[str, Any] | None = None) -> Figure:
     """Return the same as a figure of Matplotlib; see :meth:`~.results.Result.plot`."""
-    return style.finished(_deviation_panels(result, truth, valid=result.verdict == "ok"))
+    return style.finish_figure(_deviation_panels(result, truth, valid=result.verdict == "ok"))
 
 
 def _deviation_panels(
@@ -133,7 +133,7 @@ Motion = tuple[str, Floats, Floats, float, str]
 """Name, values and standard uncertainties (n,), factor and label of the unit that is drawn."""
 
 
-@style.styled
+@style.house_style
 def polar(angles: Floats, motions: Sequence[Motion]) -> str:
     """Draw ``motions`` at ``angles`` (n,), rad, each about a circle on which it is zero."""
     columns, turn = min(len(motions), 3), np.append(angles, angles[0] + 2.0 * np.pi)
@@ -153,7 +153,7 @@ def polar(angles: Floats, motions: Sequence[Motion]) -> str:
     return style.svg(panels[0])
 
 
-@style.styled
+@style.house_style
 def adjacent(result: Result) -> str:
     """Draw the deviations of the steps between neighbouring angles as bars with k = 2 whiskers."""
     if result.adjacent_deviations is None:
@@ -173,7 +173,7 @@ def adjacent(result: Result) -> str:
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def temperature(observations: Sequence[Observation]) -> str:
     """Draw the temperature at the observations over the time since the first one."""
     readings = [

@@ -29,7 +29,7 @@ def residual_figures(result: Result, unit: float = MICROMETRE, label: str = "µm
     ]
 
 
-@style.styled
+@style.house_style
 def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> str:
     """Draw residuals by table angle and by target; what was not used is marked."""
     rows = result.residuals
@@ -53,7 +53,7 @@ def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> s
     return style.svg(left)
 
 
-@style.styled
+@style.house_style
 def residual_map(result: Result) -> str:
     """Draw the normalised residual of every table position and target as a map.
 

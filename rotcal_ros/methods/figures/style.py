@@ -72,7 +72,7 @@ _RC: Final[dict[Any, Any]] = {
 }
 
 
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
+def house_style(draw: Callable[P, R]) -> Callable[P, R]:
     """Run a drawing function in the house style without touching matplotlib's global settings."""
 
     @functools.wraps(draw)
@@ -93,7 +93,7 @@ def grid(rows: int = 1, columns: int = 1, height: float = 3.0, **options: Any) -
     return list(figure.subplots(rows, columns, squeeze=False, **options).ravel())
 
 
-def finished(ax: Axes) -> Figure:
+def finish_figure(ax: Axes) -> Figure:
     """Return the figure of ``ax``, whose panels share one legend above them."""
     from matplotlib.text import Text
 
@@ -126,7 +126,7 @@ def svg(ax: Axes) -> str:
     """Return the figure of ``ax`` as an ``<svg>`` element; equal figures give equal text."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    figure, stream = finished(ax), io.StringIO()
+    figure, stream = finish_figure(ax), io.StringIO()
     with warnings.catch_warnings():
         # A box stands for a sign that the font lacks, and long names stand over each other.
         warnings.filterwarnings("ignore", "Glyph .* missing|constrained_layout not applied")

@@ -69,7 +69,7 @@ def figures(result: Result, truth: Mapping[str, Any] | None = None) -> list[Figu
     ]
 
 
-@style.styled
+@style.house_style
 def ways(result: Result, truth: Mapping[str, Any] | None = None) -> str:
     """Draw the deviation curves of all ways with their bands, and their differences."""
     others = [way for way in result.details.get("ways", ()) if "ecc_rad" in way]
@@ -99,7 +99,7 @@ def ways(result: Result, truth: Mapping[str, Any] | None = None) -> str:
     return style.svg(panels[0])
 
 
-@style.styled
+@style.house_style
 def station_map(details: Mapping[str, Any]) -> str:
     """Draw stations and nests in plan view, with a line from each station to what it saw."""
     stands, nests = details.get("stations", ()), details.get("nests", ())
@@ -123,7 +123,7 @@ def station_map(details: Mapping[str, Any]) -> str:
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def incidence(details: Mapping[str, Any]) -> str:
     """Draw the angle of incidence over the table angle, one colour per station."""
     normals = details.get("normals", ())
@@ -147,7 +147,7 @@ def incidence(details: Mapping[str, Any]) -> str:
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def nest_residuals(details: Mapping[str, Any]) -> str:
     """Draw the residual of every nest from every station as a map with its lengths."""
     nests = details.get("nests", ())
@@ -176,7 +176,7 @@ def nest_residuals(details: Mapping[str, Any]) -> str:
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def drift(details: Mapping[str, Any]) -> str:
     """Draw how the tracker turned and how its range grew at each station, from round to round."""
     stations = details.get("drift", ())

@@ -35,7 +35,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.methods.arrivals import (
     Arrivals,
     RepeatedTrials,
-    both_ways,
+    bidirectional_arrivals,
     mean_curve,
     mean_of_arrivals,
     mean_of_runs,
@@ -87,13 +87,13 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def _model_of_curves(configuration: Configuration, problem: PlaneMirrorProblem) -> CurveModel:
     """Return what points determine of ECC, to be solved with other instruments."""
     found, positions = plane_mirror.curves(problem)
-    arrivals = both_ways(configuration.plan)
+    arrivals = bidirectional_arrivals(configuration.plan)
     return found if arrivals is None else mean_of_arrivals(found, arrivals.take(positions))
 
 
 def _trials(configuration: Configuration, problem: PlaneMirrorProblem) -> Trials:
     """Prepare Monte Carlo trials about points."""
-    solution, arrivals = MirrorSolution.of(problem), both_ways(configuration.plan)
+    solution, arrivals = MirrorSolution.of(problem), bidirectional_arrivals(configuration.plan)
     prepared = solution.found.trials
     if arrivals is None:
         return prepared
@@ -146,7 +146,7 @@ def check(
 def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
     """Return a problem with noise, way and limits of the configuration."""
     settings: MirrorSolverSettings = configuration.solver
-    arrivals = both_ways(configuration.plan)
+    arrivals = bidirectional_arrivals(configuration.plan)
     return replace(
         problem,
         upward=None if arrivals is None else arrivals.upward,
@@ -163,7 +163,7 @@ def _solve_ways(
     configuration: Configuration, problem: PlaneMirrorProblem, details: dict[str, Any]
 ) -> Result:
     """Solve the chosen way; the other ways of the same points go into the details."""
-    solution, arrivals = MirrorSolution.of(problem), both_ways(configuration.plan)
+    solution, arrivals = MirrorSolution.of(problem), bidirectional_arrivals(configuration.plan)
     result, measured = solution.result(), None
     if arrivals is not None:
         measured = arrivals.take(solution.layout.positions)

@@ -27,12 +27,12 @@ from rotcal_ros.methods.disturbance import (
     Streams,
     arrival_errors,
     error_motion,
+    random_streams,
+    relative_times,
     repeatability,
     scatter_in_plane,
-    stated,
-    streams,
+    solver_statement,
     tilt,
-    times,
 )
 from rotcal_ros.methods.plane_mirror.mirror_physics import FlatMirror, TrackerStation, on_circle
 from rotcal_ros.methods.plane_mirror.plan import nominal_mirror, tracker_stands
@@ -161,7 +161,7 @@ def _same_place(before: Command | None, after: Command) -> bool:
     )
 
 
-TILT: Final = stated("tilt_std_arcsec", ARCSEC)
+TILT: Final = solver_statement("tilt_std_arcsec", ARCSEC)
 LISTED: Final = (
     Disturbance(
         "drift",
@@ -171,7 +171,7 @@ LISTED: Final = (
     Disturbance(
         "uneven drift",
         "the tracker's azimuth swings by so much at every station, one sine while it stands",
-        "arcsec", ARCSEC, 0.3, 100.0, stated=stated("uneven_drift_std_arcsec", ARCSEC),
+        "arcsec", ARCSEC, 0.3, 100.0, stated=solver_statement("uneven_drift_std_arcsec", ARCSEC),
     ),
     Disturbance(
         "one place",
@@ -214,7 +214,7 @@ def measure(
 
     The table has no ECC; the true ECC are zero.
     """
-    noise, other = streams(seed)
+    noise, other = random_streams(seed)
     stations = [TrackerStation(stand.place) for stand in tracker_stands(configuration.plan)]
     station = np.array([step.station for step in plan.steps])
     head = np.array([stations[s].place for s in station.tolist()])
@@ -246,7 +246,7 @@ def _places(
     rotation, shift = _table(configuration, plan, sizes, (noise, other))
     slope = solver.mirror_slope_std_arcsec * ARCSEC * noise.standard_normal((len(plan.steps), 3))
     knock = rotation_from_vector(sizes.get("knock", 0.0) * ALL_AXES)
-    after = times(plan) >= 0.5
+    after = relative_times(plan) >= 0.5
     places = np.array([step.position for step in plan.steps])
     for k, step in enumerate(plan.steps):
         carried = rotation[k] @ knock if after[k] else rotation[k]

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import alternatives
-from rotcal_ros.adjust.effects import Undetected
+from rotcal_ros.adjust.effects import LargestUndetected
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
@@ -30,7 +30,7 @@ from rotcal_ros.foundation.tables import Table, table_hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
-from rotcal_ros.methods.by_model import ByModel, Restated, Statement
+from rotcal_ros.methods.by_model import ByModel, RestatedConfiguration, Statement
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
@@ -39,7 +39,7 @@ from rotcal_ros.methods.disturbance import (
     harmless,
     of_readings,
     repeatability,
-    stated,
+    solver_statement,
     tilt,
 )
 from rotcal_ros.methods.figures import Figure, style
@@ -60,8 +60,8 @@ from rotcal_ros.methods.table_balls.model import (
 from rotcal_ros.methods.table_balls.motions import (
     EXCEEDED,
     MOTION_KINDS,
-    exceeded,
     stated_motions_of,
+    undetected_motions,
 )
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
@@ -367,14 +367,19 @@ def states(
     details: dict[str, Any] = {"untold": [name for name in COMPONENTS if name not in balls.shown]}
     if balls.tilting is not None:
         details["tilts"] = np.array(balls.tilting.degrees) * DEGREE
-    every = set_up.compared(given, read, found.why, partial(model, whole=True))
-    protections = (*_protections(configuration, balls, found), *alternatives.protections(every))
-    doubts = tuple(alternatives.doubts(every))
+    every = set_up.compare_setups(given, read, found.why, partial(model, whole=True))
+    protections = (
+        *_protections(configuration, balls, found),
+        *alternatives.alternative_protections(every),
+    )
+    doubts = tuple(alternatives.alternative_doubts(every))
     axes = _axes(balls, found, configuration.plan.chain)
     return Statement(doubts, protections, details | {"trajectories": ways}, axes)
 
 
-def restated(configuration: Configuration, _read: Readings, found: Adjusted) -> Restated | None:
+def restated(
+    configuration: Configuration, _read: Readings, found: Adjusted
+) -> RestatedConfiguration | None:
     """Return larger statements of motions where the balls show more; None where they fit."""
     solver = configuration.solver
     beyond = [
@@ -387,7 +392,7 @@ def restated(configuration: Configuration, _read: Readings, found: Adjusted) -> 
         return None
     factor = max(each.factor for each in beyond)  # of both, which balls tell apart by their sizes
     values = {name: getattr(solver, name) * factor for name in STATED_BY.values()}
-    return Restated(
+    return RestatedConfiguration(
         replace(configuration, solver=replace(solver, **values)),
         tuple(
             phrase(
@@ -407,7 +412,7 @@ def restated(configuration: Configuration, _read: Readings, found: Adjusted) -> 
 def _protections(
     configuration: Configuration, balls: BallsOnTable, found: Adjusted
 ) -> Iterator[Protection]:
-    worst = exceeded(balls, found)
+    worst = undetected_motions(balls, found)
     of_effects: tuple[tuple[Effect, tuple[str, ...], tuple[str, ...]], ...] = (
         ("error motion", COMPONENTS[:3], ("radial", "axial")),
         ("tilt", COMPONENTS[3:5], ("tilt",)),
@@ -463,7 +468,7 @@ def _protections(
     yield Protection("repeatability", "tested", phrase("every run comes to every angle"), error)
 
 
-def _stated_only(effect: Effect, why: Phrase, every: Sequence[Undetected]) -> Protection:
+def _stated_only(effect: Effect, why: Phrase, every: Sequence[LargestUndetected]) -> Protection:
     """Return what is done about an effect that is stated: not enough where that may be exceeded.
 
     ``every``: what may stay unseen of all that is stated of it.
@@ -573,7 +578,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
     ]
 
 
-@style.styled
+@style.house_style
 def _axis(axis: AxisLine) -> str:
     panels = style.grid(1, 2)
     for number, (ax, (si, unit)) in enumerate(zip(panels, AXIS_SHOWN[::2], strict=True)):
@@ -606,7 +611,7 @@ def _polar(result: Result) -> str:
     )
 
 
-LINEAR: Final = {name: stated(f"{name}_std_um_per_m", MICROMETRE) for name in OF_AXES}
+LINEAR: Final = {name: solver_statement(f"{name}_std_um_per_m", MICROMETRE) for name in OF_AXES}
 """What is stated of the linear axes."""
 KNOWN: Final = {
     "position": "table_position", "ball": "target", "bar": "target", "tilt": "station"
@@ -735,8 +740,8 @@ METHOD: Final = BY_MODEL.method(
                 ("squareness", "each pair of linear axes is out of square by so much"),
             )
         ),
-        error_motion(0.5, 100.0, stated("error_motion_std_m")),
-        tilt(0.5, 100.0, stated("tilt_std_arcsec", ARCSEC)),
+        error_motion(0.5, 100.0, solver_statement("error_motion_std_m")),
+        tilt(0.5, 100.0, solver_statement("tilt_std_arcsec", ARCSEC)),
         repeatability(0.5, 100.0),
         *harmless("refraction"),
     ),

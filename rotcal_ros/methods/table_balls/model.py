@@ -43,9 +43,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.sparse import coo_array, csr_array, hstack
 
-from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.bordered import SparseDesign
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.kernels import Whole
+from rotcal_ros.adjust.kernels import DenseKernel
 from rotcal_ros.adjust.model import (
     MOST_MOMENTS,
     Disturbing,
@@ -63,7 +63,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.table_balls.motions import StatedMotions, spectra
+from rotcal_ros.methods.table_balls.motions import StatedMotions, possible_spectra
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     BallsPlanSettings,
@@ -311,7 +311,7 @@ class BallsOnTable:
     @cached_property
     def arms(self) -> Floats:
         """From the ball of each target to that in the spindle (k b, 3), m, at angle 0."""
-        return np.asarray(self.bars @ around(self.places)).reshape(-1, 3)
+        return np.asarray(self.bars @ local_directions(self.places)).reshape(-1, 3)
 
     @cached_property
     def aims(self) -> Floats:
@@ -533,7 +533,7 @@ def _lag_std(speeds: Floats, solver: BallsSolverSettings) -> float:
     return solver.lag_std_s if len(set(speeds.tolist())) == 1 else inf
 
 
-def around(places: Floats) -> Floats:
+def local_directions(places: Floats) -> Floats:
     """Return the directions outward, along its way, and up (k, 3, 3) of balls at ``places``."""
     flat = places * [1.0, 1.0, 0.0]
     radius = np.linalg.norm(flat, axis=1)[:, None]
@@ -611,8 +611,10 @@ class StatedRows(NamedTuple):
         rows[:, at] = self.parts
         stated = ((name, std) for name, std in balls.known.items() if isfinite(std))
         rows = np.concatenate([rows, *(block_rows(balls.blocks, n) / std for n, std in stated)])
-        telling = FewEach(design / balls.sigma, np.zeros((0, unknowns))).beside(each).beside(rows)
-        return each, np.concatenate([rows, defined(balls, telling)])
+        telling = (
+            SparseDesign(design / balls.sigma, np.zeros((0, unknowns))).beside(each).beside(rows)
+        )
+        return each, np.concatenate([rows, needed_definitions(balls, telling)])
 
 
 def _sums(balls: BallsOnTable) -> Floats:
@@ -641,12 +643,12 @@ def _row(balls: BallsOnTable, sums: Mapping[str, Floats]) -> Floats:
     return row
 
 
-def defined(balls: BallsOnTable, telling: FewEach) -> Floats:
+def needed_definitions(balls: BallsOnTable, telling: SparseDesign) -> Floats:
     """Return rows (d, u) of the definitions that are needed beside the ``telling`` rows (n, u).
 
     Per standard deviation of each; without them the unknowns that they join would be open.
     """
-    kernel = telling.kernel(WEAK) or Whole.of(telling, np.zeros(0, np.int64), WEAK)
+    kernel = telling.kernel(WEAK) or DenseKernel.of(telling, np.zeros(0, np.int64), WEAK)
     scale = np.where(telling.lengths > 0.0, telling.lengths, 1.0)
     open_ = np.linalg.qr(scale[:, None] * kernel.directions)[0].T
     chosen = np.zeros((0, len(scale)))
@@ -666,7 +668,7 @@ def defined(balls: BallsOnTable, telling: FewEach) -> Floats:
 def ball_motions(balls: BallsOnTable, place: Floats) -> Iterator[Floats]:
     """Yield rows (p, u) of the :data:`MOTIONS` of a ball at ``place`` (3,), m, at each angle."""
     place = balls.turned(place[None])[:, 0]
-    for direction in np.swapaxes(around(place), 0, 1):
+    for direction in np.swapaxes(local_directions(place), 0, 1):
         parts = np.concatenate([direction, np.cross(place, direction)], axis=1)
         rows = np.zeros((len(place), sum(balls.blocks.values())))
         for number, name in enumerate(COMPONENTS):
@@ -769,7 +771,7 @@ def model_of(
         return model
     together = StatedMotions.of(
         motions.whole, len(zero), _sums(balls), balls.stated, balls.angles,
-        balls.tilts, spectra(solver), balls.first["EXC"],
+        balls.tilts, possible_spectra(solver), balls.first["EXC"],
     )  # fmt: skip
     return replace(model, correlated=(together,))
 

@@ -9,7 +9,7 @@ that stands or leans elsewhere.
 
 Whether what is stated of motions, linear axes, tip and bar is true is another matter: of a motion
 in one order a ball shows a part, which may be small by chance. What stays unseen of more
-(:func:`exceeded`) follows from the solution alone, not from what was read.
+(:func:`undetected_motions`) follows from the solution alone, not from what was read.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality
-from rotcal_ros.adjust.effects import UNSEEN, Undetected
+from rotcal_ros.adjust.effects import UNSEEN, LargestUndetected
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.error_motion import HIGHEST, WHITE, Correlated, Spectrum
 from rotcal_ros.adjust.fit import Fit
@@ -67,7 +67,7 @@ LIKELY: Final = 0.002
 research/ball_coverage.py does. The truth is rarely below, and what is far from it mostly."""
 
 
-def spectra(solver: BallsSolverSettings) -> dict[str, tuple[Spectrum, ...]]:
+def possible_spectra(solver: BallsSolverSettings) -> dict[str, tuple[Spectrum, ...]]:
     """Return the spectra that are possible of each kind of motion."""
     sizes = {
         "radial": solver.radial_orders, "axial": solver.axial_orders, "tilt": solver.tilt_orders
@@ -95,7 +95,7 @@ def _any(lowest: int) -> Iterator[Spectrum]:
         yield Spectrum.mean({hidden: HIDDEN, rest: 1.0 - HIDDEN})
 
 
-def ways(spectrum: Spectrum, angles: Floats, tilts: int) -> Iterator[Floats]:
+def motion_columns(spectrum: Spectrum, angles: Floats, tilts: int) -> Iterator[Floats]:
     """Yield columns (t p, r) of a motion of size 1 at the ``angles`` (p,) of all ``tilts``.
 
     Of its own at every tilt and, in orders, the same at all: what a bearing does when it turns
@@ -152,7 +152,11 @@ class StatedMotions(Correlated):
         basis, count = np.linalg.qr(sums.T)[0], tilts * len(angles)
         every, parts = dict[str, tuple[Floats, ...]](), list[tuple[Floats, ...]]()
         for kind, numbers in MOTION_KINDS.items():
-            each = [way for spectrum in possible[kind] for way in ways(spectrum, angles, tilts)]
+            each = [
+                way
+                for spectrum in possible[kind]
+                for way in motion_columns(spectrum, angles, tilts)
+            ]
             width = len(numbers) * np.array([way.shape[1] for way in each])
             found = np.zeros((6, count, width.sum()))
             ends = np.cumsum(width)[:-1]
@@ -260,7 +264,7 @@ def stated_motions_of(model: Model) -> Iterator[StatedMotions]:
     yield from (each for each in model.correlated if isinstance(each, StatedMotions))
 
 
-def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Undetected]:
+def undetected_motions(balls: BallsOnTable, found: Adjusted) -> dict[str, LargestUndetected]:
     """Return what may stay unseen of each kind of motion that is stated, and of each other block.
 
     A motion is found by what the balls show of it, see
@@ -270,7 +274,7 @@ def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Undetected]:
     fit, model, outputs = found.fit, found.model, len(found.value)
     std = found.counting_std[:outputs]
     counts, last = std > 0.0, len(model.components) - 1
-    row, worst = int(np.argmax(model.of_component == last)), dict[str, Undetected]()
+    row, worst = int(np.argmax(model.of_component == last)), dict[str, LargestUndetected]()
 
     def share(rows: slice) -> Floats:
         return np.asarray(
@@ -283,7 +287,7 @@ def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Undetected]:
         sizes = together.found_from(fit)
         for kind, roots, size in zip(MOTION_KINDS, together.parts, sizes, strict=True):
             moved = [np.linalg.norm(influence @ root, axis=1).max(initial=0.0) for root in roots]
-            worst[kind] = Undetected.worst(size, np.array(moved), EXCEEDED)
+            worst[kind] = LargestUndetected.worst(size, np.array(moved), EXCEEDED)
     needed = noncentrality(LIMITS.significance, POWER, max(fit.dof, 1))
     for name in (name for name, std in balls.known.items() if isfinite(std)):
         block = slice(row, row + balls.blocks[name])
@@ -293,7 +297,7 @@ def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Undetected]:
         does = share(block)
         error = np.linalg.norm(np.minimum(size, EXCEEDED) * does, axis=1).max(initial=0.0)
         feels = np.abs(does).max(axis=0, initial=0.0) > UNSEEN
-        worst[name] = Undetected(float(error), bool((size <= EXCEEDED)[feels].all()))
+        worst[name] = LargestUndetected(float(error), bool((size <= EXCEEDED)[feels].all()))
     return worst
 
 

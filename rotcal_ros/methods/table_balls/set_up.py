@@ -38,7 +38,7 @@ MOST_ANGLES: Final = 24
 """Table angles that are compared, evenly out of more: they show a mistake of set-up as well."""
 
 
-class Otherwise(NamedTuple):
+class AlternativeSetup(NamedTuple):
     """That ``what`` holds, by a mistake like ``effect``: then this set-up and these readings."""
 
     effect: Effect
@@ -47,14 +47,16 @@ class Otherwise(NamedTuple):
     read: Readings
 
 
-def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:
+def alternative_setups(configuration: Configuration, read: Readings) -> Iterator[AlternativeSetup]:
     """Yield what else was read may be."""
     plan = configuration.plan
     for letter in (below_the_table(plan.chain), "C"):
         if letter:
             chain = plan.chain.replace(letter, f"-{letter}").replace("--", "")
             turned = replace(configuration, plan=replace(plan, chain=chain))
-            yield Otherwise("sense", phrase("{0} turns the other way", letter), turned, read)
+            yield AlternativeSetup(
+                "sense", phrase("{0} turns the other way", letter), turned, read
+            )
     step = float(np.median(np.diff(table_angles(plan)))) / DEGREE
     for on, what in (
         (step, "the table stood one position behind the one that is stated"),
@@ -62,9 +64,9 @@ def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwis
     ):
         angles = tuple(angle / DEGREE + on for angle in table_angles(plan))
         turned = replace(configuration, plan=replace(plan, table_angles_deg=angles))
-        yield Otherwise("numbering", what, turned, read)
+        yield AlternativeSetup("numbering", what, turned, read)
     for what, target in _exchanged(configuration, read):
-        yield Otherwise("numbering", what, configuration, replace(read, target=target))
+        yield AlternativeSetup("numbering", what, configuration, replace(read, target=target))
     yield from _signs(configuration, read)
 
 
@@ -89,7 +91,7 @@ def _exchanged(configuration: Configuration, read: Readings) -> Iterator[tuple[s
         yield phrase("{0} are taken for each other", both), other + found
 
 
-def _signs(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:
+def _signs(configuration: Configuration, read: Readings) -> Iterator[AlternativeSetup]:
     """Yield readings that count the other way, or along other axes."""
     plan = configuration.plan
     if plan.measure == BAR:
@@ -97,14 +99,14 @@ def _signs(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:
         wanted = np.linalg.norm(balls.arms, axis=1)[read.target]
         found = replace(read, value=2.0 * wanted - read.value)
         what = "a bar that grows longer shows less"
-        yield Otherwise("sign of readings", what, configuration, found)
+        yield AlternativeSetup("sign of readings", what, configuration, found)
         return
     signs = AXES if plan.measure == DISPLACEMENT else DOWN
     for what, axes in signs:
         points = read.points @ np.array(axes, dtype=np.float64).T
         found = replace(read, points=points, value=points[:, 0])
         effect: Effect = "sign of readings" if plan.measure == DISPLACEMENT else "sign of z"
-        yield Otherwise(effect, what, configuration, found)
+        yield AlternativeSetup(effect, what, configuration, found)
 
 
 def _thinned(configuration: Configuration, read: Readings) -> tuple[Configuration, Readings, Ints]:
@@ -121,13 +123,13 @@ def _thinned(configuration: Configuration, read: Readings) -> tuple[Configuratio
     return replace(configuration, plan=plan), found, rows
 
 
-def compared(
+def compare_setups(
     configuration: Configuration,
     read: Readings,
-    gone: Collection[int],
+    left_out: Collection[int],
     model: Callable[[Configuration, Readings], Model],
 ) -> list[WeighedAlternative]:
-    """Return what speaks for readings that were meant otherwise, without rows that are ``gone``.
+    """Return what speaks for readings meant otherwise, without rows that are ``left_out``.
 
     ``model`` makes that of a set-up and readings; all motions must be stated in it.
     """
@@ -137,11 +139,11 @@ def compared(
 
     each = [
         Alternative(o.effect, o.what, partial(of, o.configuration, o.read))
-        for o in otherwise(configuration, read)
+        for o in alternative_setups(configuration, read)
     ]
     rows = _thinned(configuration, read)[2]
     count = 1 if configuration.plan.measure == BAR else 3
     kept = np.repeat(rows * count, count) + np.tile(np.arange(count), len(rows))
     number = {row: k for k, row in enumerate(kept.tolist())}
-    gone = [number[row] for row in gone if row in number]
-    return alternatives.compared(of(configuration, read), gone, each)
+    left_out = [number[row] for row in left_out if row in number]
+    return alternatives.compare_alternatives(of(configuration, read), left_out, each)

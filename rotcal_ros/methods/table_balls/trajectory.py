@@ -23,7 +23,7 @@ from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.result_tables import ResultTable
-from rotcal_ros.methods.table_balls.model import BallsOnTable, around
+from rotcal_ros.methods.table_balls.model import BallsOnTable, local_directions
 
 OF_CENTRES: Final = ("radial", "tangential", "axial")
 OF_LENGTHS: Final = ("length",)
@@ -76,7 +76,7 @@ def _readings(balls: BallsOnTable, found: Adjusted) -> tuple[Floats, Floats, Boo
     flat = read if balls.tilting is None else balls.tilting.back(read, balls.tilt)
     turn = rotation_about_z(balls.angles[balls.position])
     on_table = np.einsum("nji,nj->ni", turn, flat - balls.origin) - balls.places[balls.target]
-    away = np.einsum("nij,nj->ni", around(balls.places)[balls.target], on_table)
+    away = np.einsum("nij,nj->ni", local_directions(balls.places)[balls.target], on_table)
     return away, np.sqrt((std**2).mean(axis=1, keepdims=True)) * np.ones(c), used
 
 
@@ -124,7 +124,7 @@ def way_figures(ways: Mapping[str, Any]) -> list[Figure]:
     ]
 
 
-@style.styled
+@style.house_style
 def _circles(ways: Mapping[str, Any]) -> str:
     tilt, target = np.asarray(ways["tilt"]), np.asarray(ways["target"])
     angle, off = np.asarray(ways["angle"]), np.asarray(ways["value"]) @ [1.0, 1.0j, 0.0]

@@ -39,7 +39,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
     ]
 
 
-@style.styled
+@style.house_style
 def set_up(result: Result) -> str:
     """Draw the circle of the stations about the axis and the targets, from above, to scale."""
     details = result.details
@@ -64,7 +64,7 @@ def set_up(result: Result) -> str:
     return style.svg(ax)
 
 
-@style.styled
+@style.house_style
 def stations(result: Result) -> str:
     """Draw the stations in plan view with the fitted circle, their errors exaggerated."""
     details = result.details

@@ -21,7 +21,7 @@ from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.plan import tracer_plan
-from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
+from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, StatedResult
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 from rotcal_ros.methods.tracer.policy.until_goal import UntilGoal
 from rotcal_ros.methods.tracer.settings import (
@@ -107,15 +107,15 @@ def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperim
 
 def stated(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> Stated:
+) -> StatedResult:
     """Return what the result of the accepted ``observations`` states, or why there is none."""
     from rotcal_ros.methods.calibration import Calibration, last_accepted  # know every method
 
     try:
         result = Calibration(configuration, plan).solve(observations)
     except RotcalError as error:
-        return Stated(np.inf, doubt=str(error))
-    return Stated.of(result, tuple(last_accepted(observations).values()))
+        return StatedResult(np.inf, doubt=str(error))
+    return StatedResult.of(result, tuple(last_accepted(observations).values()))
 
 
 def _mount(configuration: Configuration) -> Floats:

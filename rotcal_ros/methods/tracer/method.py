@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.bordered import within
+from rotcal_ros.adjust.bordered import index_within_group
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation import plugins
@@ -180,7 +180,7 @@ def _earlier(plan: Plan, observations: Sequence[Observation]) -> Ints:
     before, found = times_before(plan), np.zeros(len(observations), dtype=np.int64)
     in_time = np.argsort([o.run for o in observations], kind="stable")
     step = np.array([o.step for o in observations], dtype=np.int64)[in_time]
-    found[in_time] = before[step] + (before.max(initial=0) + 1) * within(step)
+    found[in_time] = before[step] + (before.max(initial=0) + 1) * index_within_group(step)
     return found
 
 

@@ -182,12 +182,12 @@ def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
     position = np.array([step.table_position for step in plan.steps])
     targets = np.array([step.position for step in plan.steps])
     beams = targets - on_table(settings.tracer_m, angles)[position]
-    free = within(beams, (settings.min_distance_m, np.inf), (lowest, 90.0))
+    free = within_reach(beams, (settings.min_distance_m, np.inf), (lowest, 90.0))
     require_beams(position[free], angles, "min_elevation_deg, min_distance_m")
     return _renumbered(plan, compress(plan.steps, free))
 
 
-def within(
+def within_reach(
     beams: Floats, distances_m: tuple[float, float], elevations_deg: tuple[float, float]
 ) -> Bools:
     """Return which of the ``beams`` (k, 3), m, from tracer to target, keep both limits."""

@@ -35,11 +35,11 @@ from rotcal_ros.methods.disturbance import (
     Streams,
     arrival_errors,
     error_motion,
+    random_streams,
+    relative_times,
     repeatability,
     scatter_in_plane,
-    streams,
     tilt,
-    times,
 )
 from rotcal_ros.methods.simulation.air import SimulatedAir, SimulatedTemperature
 from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table, Ticks
@@ -332,7 +332,7 @@ def _error_motion(configuration: Configuration) -> float:
     return 0.0 if stated is None else stated
 
 
-def of_lengths(drift: float, knock: float, air: float) -> tuple[Disturbance, ...]:
+def length_disturbances(drift: float, knock: float, air: float) -> tuple[Disturbance, ...]:
     """Return what spoils lengths of a tracer on the table, wherever it stands.
 
     Worth a search from these sizes on: ``drift`` and ``knock`` in um, ``air`` in ppm (per metre).
@@ -375,7 +375,7 @@ def leaning_axis(largest: float) -> Disturbance:
     return Disturbance("gauge", what, "arcsec", ARCSEC, 100.0, largest)
 
 
-def shifted_along(turned: Floats, angle: Floats, sizes: Sizes) -> Floats:
+def tangential_shift(turned: Floats, angle: Floats, sizes: Sizes) -> Floats:
     """Return by how much (n, 3), m, tracers at ``turned`` (n, 3) are shifted at an angle (n,)."""
     across = np.column_stack([-turned[:, 1], turned[:, 0], np.zeros(len(turned))])
     along = across * (np.cos(2.0 * angle) / np.hypot(*turned[:, :2].T))[:, None]
@@ -383,7 +383,7 @@ def shifted_along(turned: Floats, angle: Floats, sizes: Sizes) -> Floats:
 
 
 LISTED: Final = (
-    *of_lengths(1.0, 0.3, 1.0),
+    *length_disturbances(1.0, 0.3, 1.0),
     error_motion(0.1, 100.0, _error_motion),
     repeatability(0.3, 100.0),
     tilt(0.3, 100.0),
@@ -409,13 +409,13 @@ def measure(
 
     The tracer stands where the simulation mounts it. True deviations are zero.
     """
-    noise, other = streams(seed)
+    noise, other = random_streams(seed)
     stations = _stations(configuration, plan, sizes, (noise, other))
-    observations = observed(configuration, plan, stations, sizes, (noise, other))
+    observations = observe_plan(configuration, plan, stations, sizes, (noise, other))
     return DisturbedMeasurement(observations, {"ECC": np.zeros(len(plan.table_angles))})
 
 
-def observed(
+def observe_plan(
     configuration: Configuration, plan: Plan, stations: Floats, sizes: Sizes, streams: Streams
 ) -> tuple[Observation, ...]:
     """Return what a tracer observes that is at ``stations`` (n, 3), m, at the steps of ``plan``.
@@ -475,7 +475,7 @@ def steps_of(plan: Plan) -> PlannedSteps:
         place=np.array([step.station for step in plan.steps], dtype=np.int64),
         position=np.array([step.table_position for step in plan.steps], dtype=np.int64),
         target=np.array([step.target for step in plan.steps], dtype=np.int64),
-        time=times(plan),
+        time=relative_times(plan),
     )
 
 
@@ -495,7 +495,7 @@ def _stations(configuration: Configuration, plan: Plan, sizes: Sizes, streams: S
     at = steps.position
     leant = np.einsum("nij,nj->ni", rotation_from_vector(lean)[at], turned)
     angle = np.array(plan.table_angles)[at]
-    shifted = leant + shift[at] + shifted_along(turned, angle, sizes)
+    shifted = leant + shift[at] + tangential_shift(turned, angle, sizes)
     return np.asarray(shifted, dtype=np.float64)
 
 

@@ -30,7 +30,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
     ]
 
 
-@style.styled
+@style.house_style
 def places_and_targets(result: Result) -> str:
     """Draw the places on the table and the targets around it, from above and from the side."""
     details = result.details

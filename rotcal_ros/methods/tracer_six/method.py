@@ -44,7 +44,7 @@ from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
 from rotcal_ros.methods.tracer_six.plan import (
     LOCATING,
     check_plan,
-    described,
+    describe_place,
     places_of,
     plan,
     plan_of,
@@ -227,8 +227,8 @@ def check(
         return ()
     return (
         f"place {number + 1}: the tracer stands {away / MILLIMETRE:.1f} mm from its place, "
-        f"allowed {allowed / MILLIMETRE:g}: its centre is {described(found)}, planned "
-        f"{described(planned)}",
+        f"allowed {allowed / MILLIMETRE:g}: its centre is {describe_place(found)}, planned "
+        f"{describe_place(planned)}",
     )
 
 

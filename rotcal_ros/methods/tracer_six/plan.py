@@ -97,7 +97,7 @@ def places_of(settings: SixPlanSettings) -> tuple[Point, ...]:
     """Return the places of the tracer (m), table frame at angle 0."""
     if settings.places_m:
         return triples(settings.places_m, "places_m")
-    return around(
+    return places_around_axis(
         settings.places,
         settings.place_radius_m,
         settings.place_azimuth_deg * DEGREE,
@@ -149,12 +149,12 @@ def _located(steps: Sequence[Step], order: str) -> int:
 def _instruction(number: int, places: tuple[Point, ...], n_targets: int, n_angles: int) -> str:
     return (
         f"fix the tracer at place {number + 1} of {len(places)} (number {number} in the data) on "
-        f"the table, {described(places[number])}; it will measure {n_targets} targets at "
+        f"the table, {describe_place(places[number])}; it will measure {n_targets} targets at "
         f"{n_angles} table angles, and must not move on the table meanwhile"
     )
 
 
-def around(
+def places_around_axis(
     count: int, radius: float, azimuth: float, height: float, height_step: float
 ) -> tuple[Point, ...]:
     """Return ``count`` places evenly around the axis, the first at ``azimuth`` (rad), in metres.
@@ -196,7 +196,7 @@ def _require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None
     )
 
 
-def described(place: Point | Floats) -> str:
+def describe_place(place: Point | Floats) -> str:
     """Return a place in words a person can work with."""
     x, y, z = place
     azimuth = np.arctan2(y, x) / DEGREE % 360.0

@@ -21,10 +21,10 @@ from rotcal_ros.methods.disturbance import (
     DisturbedMeasurement,
     Sizes,
     angle_numbers,
-    arrivals,
+    arrival_numbers,
     error_motion,
+    random_streams,
     repeatability,
-    streams,
     table_deviations,
     tilt,
 )
@@ -35,10 +35,10 @@ from rotcal_ros.methods.tracer.simulation import (
     TANGENTIAL,
     TracerAndReflector,
     leaning_axis,
-    observed,
-    of_lengths,
-    shifted_along,
+    length_disturbances,
+    observe_plan,
     steps_of,
+    tangential_shift,
 )
 from rotcal_ros.methods.tracer_six.plan import places_of
 from rotcal_ros.methods.tracer_six.settings import SixSimulationSettings
@@ -50,7 +50,7 @@ _MOST: Final = 1000
 
 
 LISTED: Final = (
-    *of_lengths(0.3, 0.1, 0.3),
+    *length_disturbances(0.3, 0.1, 0.3),
     error_motion(0.1, 10.0),
     repeatability(0.05, 10.0),
     tilt(0.1, 10.0),
@@ -118,10 +118,10 @@ def measure(
 
     The table has no deviations but those that ``sizes`` give it, which are true ones.
     """
-    noise, other = streams(seed)
+    noise, other = random_streams(seed)
     true = table_deviations(len(plan.distinct_angles), sizes, other)
     stations = _stations(configuration, plan, sizes, true, other)
-    observations = observed(configuration, plan, stations, sizes, (noise, other))
+    observations = observe_plan(configuration, plan, stations, sizes, (noise, other))
     return DisturbedMeasurement(observations, true)
 
 
@@ -140,11 +140,11 @@ def _stations(
     turned = np.einsum("nij,nj->ni", turn, mount)
     angle = angle_numbers(plan)[steps.position]
     rotation = np.column_stack([true["EAC"], true["EBC"], true["ECC"]])[angle]
-    scatter = other.standard_normal((len(plan.steps), 3))[arrivals(plan)]
+    scatter = other.standard_normal((len(plan.steps), 3))[arrival_numbers(plan)]
     rotation = rotation + sizes.get("repeatability", 0.0) * scatter
     moved = np.einsum("nij,nj->ni", rotation_from_vector(rotation), turned)
     shift = np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[angle]
-    along = shifted_along(turned, np.array(plan.table_angles)[steps.position], sizes)
+    along = tangential_shift(turned, np.array(plan.table_angles)[steps.position], sizes)
     return np.asarray(moved + shift + along, dtype=np.float64)
 
 

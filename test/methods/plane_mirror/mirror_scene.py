@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 from mirror_cell import measure, measure_direct, paper_cell
 
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.plane_mirror.solver import printed
 from rotcal_ros.methods.plane_mirror.solver.model import TrackerModel
-from rotcal_ros.methods.plane_mirror.solver.set_up import laid_out
+from rotcal_ros.methods.plane_mirror.solver.set_up import lay_out_points
 
 PLACES = np.array([[0.3, 0.1, 0.1], [-0.2, 0.25, 0.15]])
 """Reflectors on the table, for the way "direct"."""
@@ -49,12 +49,12 @@ def with_points(problem, changes):
 def estimates(problem, points):
     """Deviations (t, N) of points (t, n, 3): by a printed way, or by least squares of each."""
     if problem.way != "joint":
-        layout = laid_out(problem)[0]
-        return printed.curve(layout, problem.way, points)
+        layout = lay_out_points(problem)[0]
+        return printed.deviation_curve(layout, problem.way, points)
     return np.array([_least_squares(replace(problem, xyz=xyz)) for xyz in points])
 
 
 def _least_squares(problem):
-    model = TrackerModel.of(laid_out(problem)[0]).model()
+    model = TrackerModel.of(lay_out_points(problem)[0]).model()
     every = np.ones(len(model.observed), dtype=bool)
-    return fitted(model, every, model.std, model.first).value
+    return fit_model(model, every, model.std, model.first).value

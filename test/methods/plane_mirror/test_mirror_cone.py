@@ -7,9 +7,9 @@ from rotcal_ros.geometry.rotations import rotation_from_vector, wrap_angle
 from rotcal_ros.methods.plane_mirror.solver.printed import (
     axis_of_two,
     azimuths,
+    connected_islands,
     fit_circle,
     fit_cone,
-    islands,
     joining_map,
 )
 
@@ -53,7 +53,7 @@ def test_chain_of_sets_is_the_papers_running_sum():
 
 
 def test_islands_name_what_nothing_ties():
-    positions, sets = islands(np.array([0, 1, 2, 3]), np.array([0, 0, 1, 1]), 4)
+    positions, sets = connected_islands(np.array([0, 1, 2, 3]), np.array([0, 0, 1, 1]), 4)
     assert sets[0] != sets[1]
     assert positions[0] == positions[1] == sets[0]
 

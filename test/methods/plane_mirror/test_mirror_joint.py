@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from mirror_cell import measure, ring_cell
 
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
 from rotcal_ros.methods.plane_mirror.solver.model import TrackerModel
-from rotcal_ros.methods.plane_mirror.solver.set_up import laid_out
+from rotcal_ros.methods.plane_mirror.solver.set_up import lay_out_points
 
 # One opponent for the test and for the benchmark.
 sys.path.append(str(Path(__file__).parents[3] / "benchmarks"))
@@ -30,10 +30,10 @@ def problem():
 
 def test_deviations_and_covariance_agree_with_scipy(problem):
     """With the noise as stated, which the engine would estimate where it is contradicted."""
-    tracker = TrackerModel.of(laid_out(problem)[0])
+    tracker = TrackerModel.of(lay_out_points(problem)[0])
     model = tracker.model()
     every = np.ones(len(model.observed), dtype=bool)
-    fit = fitted(model, every, model.std, model.first)
+    fit = fit_model(model, every, model.std, model.first)
     deviations, covariance, cost = joint_least_squares(problem)
     # second order in the noise (1e-5)^2: a direct point is reflected as it was read
     np.testing.assert_allclose(fit.value, deviations, atol=3e-10)

@@ -9,11 +9,11 @@ from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
 from rotcal_ros.methods.plane_mirror.solver import model as models
 from rotcal_ros.methods.plane_mirror.solver.model import TrackerModel
-from rotcal_ros.methods.plane_mirror.solver.set_up import laid_out
+from rotcal_ros.methods.plane_mirror.solver.set_up import lay_out_points
 
 
 def tracker_of(problem):
-    return TrackerModel.of(laid_out(problem)[0])
+    return TrackerModel.of(lay_out_points(problem)[0])
 
 
 def drifting(way="joint", **settings):

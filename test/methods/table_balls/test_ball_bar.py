@@ -10,7 +10,7 @@ from chances import LONG
 from scipy.stats import binom
 
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
@@ -35,7 +35,7 @@ def planned(balls=ONE, bars=(*RADIAL, *TANGENTIAL, *AXIAL), **more):
 
 def solved(world, read=None):
     model = model_of(world.plan, world.solver, world.readings() if read is None else read)
-    return fitted(model, np.ones(len(model.observed), dtype=bool), model.std, model.first)
+    return fit_model(model, np.ones(len(model.observed), dtype=bool), model.std, model.first)
 
 
 @pytest.mark.parametrize(("balls", "chain"), [(ONE, "C"), (THREE, "C"), (THREE, "AC")])

@@ -9,7 +9,7 @@ from ball_world import NAMES, ONE, THREE, World
 from chances import most, share
 
 from rotcal_ros.adjust.engine import adjust, predicted
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import ARCSEC
@@ -70,7 +70,7 @@ def covered(plan, solver, orders, runs=60):
     rng, inside = np.random.default_rng(11), []
     world = World.drawn(plan, rng, solver)
     model = model_of(plan, solver, world.readings())
-    fit = fitted(model, np.ones(model.size[0], dtype=bool), model.std, model.first)
+    fit = fit_model(model, np.ones(model.size[0], dtype=bool), model.std, model.first)
     count = len(world.readings().value) * (1 if plan.measure == "bar" else 3)
     unlike = fit.gain(slice(0, len(fit.x)))[:, :count] / NOISE
     read = fit.computed[:count]
@@ -231,7 +231,7 @@ def test_sound_motions_are_not_doubted(orders):
         world.move(rng, **WORLDS[orders])
         read = world.readings(NOISE, rng)
         model = model_of(configuration.plan, configuration.solver, read)
-        fit = fitted(model, np.ones(model.size[0], dtype=bool), model.std, model.first)
+        fit = fit_model(model, np.ones(model.size[0], dtype=bool), model.std, model.first)
         doubted += (
             restated_of(configuration, read, SimpleNamespace(fit=fit, model=model)) is not None
         )

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from ball_world import LEVEL, ONE, THREE, World, in_orders, turned
 
-from rotcal_ros.adjust.alternatives import doubts
+from rotcal_ros.adjust.alternatives import alternative_doubts
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.table_balls.method import model
-from rotcal_ros.methods.table_balls.set_up import compared
+from rotcal_ros.methods.table_balls.set_up import compare_setups
 
 SIGMA = 1e-6
 BALLS = {"ONE": ONE, "LEVEL": LEVEL, "THREE": THREE}
@@ -178,8 +178,10 @@ def test_motions_of_one_order_are_no_sign_of_exchanged_set_ups(seed):
     world = World.drawn(configuration.plan, rng, configuration.solver)
     world.move(rng, (2,), (2,), (2,))
     world.motions[5] = 1e-5 * in_orders((2,), world.angles, rng)
-    every = compared(configuration, world.readings(SIGMA, rng), (), partial(model, whole=True))
-    assert not list(doubts(every))
+    every = compare_setups(
+        configuration, world.readings(SIGMA, rng), (), partial(model, whole=True)
+    )
+    assert not list(alternative_doubts(every))
 
 
 def test_a_small_share_of_the_angles_is_compared():
@@ -192,6 +194,6 @@ def test_a_small_share_of_the_angles_is_compared():
         sizes.append(len(found.observed))
         return found
 
-    every = compared(configuration, read, (), counted)
+    every = compare_setups(configuration, read, (), counted)
     assert max(sizes) < 1000
     assert len(every) == len(sizes) - 1

@@ -13,9 +13,9 @@ from scipy.stats import binom, chi2, ncx2
 
 from rotcal_ros.adjust import designs
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.fit import fitted
-from rotcal_ros.adjust.look import LARGEST_GROUP, parts_of
-from rotcal_ros.adjust.model import members_of
+from rotcal_ros.adjust.fit import fit_model
+from rotcal_ros.adjust.look import LARGEST_GROUP, split_group
+from rotcal_ros.adjust.model import members_by_group
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.protection import EFFECTS
@@ -56,7 +56,7 @@ def modelled(world, read=None):
 
 def solved(model):
     """Return the least-squares solution without any judgement."""
-    return fitted(model, np.ones(len(model.observed), dtype=bool), model.std, model.first)
+    return fit_model(model, np.ones(len(model.observed), dtype=bool), model.std, model.first)
 
 
 def curves(world, values):
@@ -677,7 +677,7 @@ def test_what_is_enumerated_of_many_angles_stays_bounded():
         knock = next(effect for effect in model.effects if effect.effect == "knock")
         assert knock.at(model.observed).shape[1] < 2000
         for grouping in model.groupings:
-            for members in members_of(grouping, model.rejectable).values():
-                parts = parts_of(grouping, members)
+            for members in members_by_group(grouping, model.rejectable).values():
+                parts = split_group(grouping, members)
                 assert max(len(part) for part in parts) <= LARGEST_GROUP
                 np.testing.assert_array_equal(np.sort(np.concatenate(parts)), members)

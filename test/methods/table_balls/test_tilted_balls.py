@@ -8,7 +8,7 @@ from ball_world import AS_DRAWN, ONE, THREE, World, shifted, turned
 from chances import LONG
 from scipy.stats import binom
 
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -37,7 +37,7 @@ def solved(world, read=None):
     """Return the least-squares solution, and where the outputs of the lines begin."""
     model = model_of(world.plan, world.solver, world.readings() if read is None else read)
     used = np.ones(len(model.observed), dtype=bool)
-    return fitted(model, used, model.std, model.first), len(model.outputs) - 8, model
+    return fit_model(model, used, model.std, model.first), len(model.outputs) - 8, model
 
 
 @pytest.mark.parametrize("chain", LINES)
@@ -87,7 +87,7 @@ def test_a_table_that_turns_clockwise_has_its_own_sense():
     world = World(plan, axis=(4e-5, -3e-5, 2e-5, -5e-5))
     world.motions[5] = 1e-5 * np.cos(3.0 * world.angles)
     model = model_of(plan, world.solver, world.readings())
-    fit = fitted(model, np.ones(len(model.observed), dtype=bool), model.std, model.first)
+    fit = fit_model(model, np.ones(len(model.observed), dtype=bool), model.std, model.first)
     assert fit.value[60:72] == pytest.approx(-world.motions[5], abs=5e-9)
     assert fit.value[72:76] == pytest.approx(world.axis, abs=5e-9)
     assert (world.angles[1:] < 0.0).all()

@@ -11,8 +11,8 @@ from rotcal_ros.foundation.errors import DataError, GeometryError, RotcalError
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.tracer.solver import solve
 from rotcal_ros.methods.tracer.solver.circle import table_motion
-from rotcal_ros.methods.tracer.solver.observability import or_prior
-from rotcal_ros.methods.tracer.solver.problem import arrange
+from rotcal_ros.methods.tracer.solver.observability import prior_datum_advice
+from rotcal_ros.methods.tracer.solver.problem import arrange_grid
 
 M, N = 9, 24
 
@@ -28,12 +28,12 @@ def test_targets_further_apart_than_a_tracer_reaches_are_in_another_unit(reach):
     distance = np.linalg.norm(wide.stations[:, None] - targets, axis=2)
     problem = wide.problem(targets=targets, length=distance.ravel())
     if reach < 100.0:
-        assert arrange(problem)[0].used.all()
+        assert arrange_grid(problem)[0].used.all()
         return
     with pytest.raises(
         DataError, match=r"lie up to 100.1 m apart, no tracer reaches beyond 100 m"
     ):
-        arrange(problem)
+        arrange_grid(problem)
 
 
 @pytest.mark.parametrize("target_std", [0.0, 1e-3])
@@ -48,7 +48,7 @@ def test_a_length_may_differ_by_the_diagonal_of_the_targets(margin, target_std, 
     middle = np.median(length[4])
     length[4, 7] = middle + sign * (span + margin)
     problem = good.problem(length=length.ravel(), length_std=1e-4, target_std=target_std)
-    grid, absent = arrange(problem)
+    grid, absent = arrange_grid(problem)
     unfit = absent.unfit
     assert absent.repeated == {}
     assert grid.used[4, 7] == (margin < 0)
@@ -70,10 +70,10 @@ def test_more_than_a_quarter_of_impossible_lengths_is_another_unit(count):
     length[rows] += 50.0 * np.where(np.arange(count) % 2, 1.0, -1.0)
     problem = good.problem(length=length)
     if count <= 0.25 * M * N:
-        assert len(arrange(problem)[1].unfit) >= count
+        assert len(arrange_grid(problem)[1].unfit) >= count
         return
     with pytest.raises(DataError, match="are the lengths in millimetres"):
-        arrange(problem)
+        arrange_grid(problem)
 
 
 @pytest.mark.parametrize("factor", [0.98, 1.02])
@@ -86,10 +86,10 @@ def test_lengths_that_hardly_differ_belong_to_another_unit(factor):
     length = middle + (good.length - middle) * factor * 1e-3 * span / usual
     problem = good.problem(length=length.ravel(), length_std=1e-9)
     if factor > 1.0:
-        arrange(problem)
+        arrange_grid(problem)
         return
     with pytest.raises(DataError, match=r"spread over .* m only, but the targets lie .* m apart"):
-        arrange(problem)
+        arrange_grid(problem)
 
 
 @pytest.mark.parametrize("lean_deg", [44.9, 45.1])
@@ -175,8 +175,8 @@ def test_a_table_that_never_turned_is_not_told_to_spread_the_targets():
 
 
 def test_advice_that_is_followed_already_is_not_given():
-    assert or_prior(free=False) == ""
-    assert "datum 'prior'" in or_prior(free=True)
+    assert prior_datum_advice(free=False) == ""
+    assert "datum 'prior'" in prior_datum_advice(free=True)
     problem = scene(length_std=0.0).problem()
     exchanged = problem.targets[::-1].copy()
     for datum in ("prior", "free"):

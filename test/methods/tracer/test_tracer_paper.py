@@ -5,7 +5,7 @@ import pytest
 
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.geometry.plane import fit_plane
-from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter, table_motion
+from rotcal_ros.methods.tracer.solver.circle import algorithm_error, printed_scatter, table_motion
 
 TABLE_1 = MILLIMETRE * np.array(
     [
@@ -66,7 +66,7 @@ def test_cumulative_deviations_sum_the_adjacent_ones():
 
 def test_scatter_counts_deviations_not_stations():
     motion = table_motion(TABLE_1, COMMANDED)
-    assert scatter(motion.adjacent) == pytest.approx(0.88 * ARCSEC, abs=0.005 * ARCSEC)
+    assert printed_scatter(motion.adjacent) == pytest.approx(0.88 * ARCSEC, abs=0.005 * ARCSEC)
 
 
 def test_printed_algorithm_error_does_not_follow_from_its_equation():

@@ -14,7 +14,7 @@ from rotcal_ros.methods.tracer.solver.observability import (
     name_direction,
     weakest_direction,
 )
-from rotcal_ros.methods.tracer.solver.problem import TOO_FEW, arrange
+from rotcal_ros.methods.tracer.solver.problem import TOO_FEW, arrange_grid
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import NO_DEVIATION, solve
 
@@ -64,7 +64,7 @@ def test_a_station_keeps_four_lengths(count):
     position, target = np.divmod(np.arange(9 * 24), 24)
     keep = (position != 6) | (target % 5 == 0) & (target < 5 * count)
     rows = {"position": position[keep], "target": target[keep]}
-    grid, absent = arrange(scene.problem(**rows, length=scene.length.ravel()[keep]))
+    grid, absent = arrange_grid(scene.problem(**rows, length=scene.length.ravel()[keep]))
     unfit = absent.unfit
     assert absent.repeated == absent.spare == {}
     assert len(grid.position_ids) == 9 - (count < 4)
@@ -78,13 +78,13 @@ def test_a_target_of_a_free_network_keeps_four_lengths(count):
     keep = (target != 11) | (position < count)
     rows = {"position": position[keep], "target": target[keep], "variant": "joint"}
     length = scene.length.ravel()[keep]
-    grid, absent = arrange(scene.problem(**rows, length=length, datum="free"))
+    grid, absent = arrange_grid(scene.problem(**rows, length=length, datum="free"))
     assert len(grid.target_ids) == 24 - (count < 4)
     assert absent.unfit == {}
     assert set(absent.spare.values()) == (
         {f"target 11 has {count} usable lengths, 4 are needed"} if count < 4 else set()
     )
-    grid, absent = arrange(scene.problem(**rows, length=length, target_std=1e-6))
+    grid, absent = arrange_grid(scene.problem(**rows, length=length, target_std=1e-6))
     assert (len(grid.target_ids), absent.unfit, absent.spare) == (24, {}, {})
 
 
@@ -126,7 +126,7 @@ def test_a_station_may_be_known_to_a_share_of_the_radius(share):
 
 def test_counting_allows_as_many_lengths_as_unknowns():
     scene = simulate(3, angles=arc(4), n=16, layout=low_ring)
-    grid, _ = arrange(scene.problem(variant="joint", datum="free"))
+    grid, _ = arrange_grid(scene.problem(variant="joint", datum="free"))
     check_counts(grid)  # 64 lengths, 16 + 48 unknowns
     used = grid.used.copy()
     used[0, 0] = False

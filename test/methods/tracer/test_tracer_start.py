@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tracer_scene import low_ring, paper_block, simulate
 
-from rotcal_ros.methods.tracer.solver.problem import arrange
+from rotcal_ros.methods.tracer.solver.problem import arrange_grid
 from rotcal_ros.methods.tracer.solver.start import find_start, start_candidates
 
 
@@ -53,7 +53,7 @@ def test_of_two_mirror_images_the_lower_one_is_taken():
     scene.targets[:, 2] = 0.4
     distance = np.linalg.norm(scene.stations[:, None] - scene.targets, axis=2)
     scene.length[:] = distance - 0.3
-    grid, _ = arrange(scene.problem())
+    grid, _ = arrange_grid(scene.problem())
     start, ambiguous = find_start(grid, None)
     assert ambiguous
     np.testing.assert_allclose(start[:, :3], scene.stations, atol=1e-8)
@@ -65,7 +65,7 @@ def test_given_stations_only_lack_their_zero():
     keep = np.arange(11 * 24) % 17 != 0
     station, target = np.divmod(np.flatnonzero(keep), 24)
     rows = {"position": station, "target": target, "length": scene.length.ravel()[keep]}
-    grid, _ = arrange(scene.problem(**rows))
+    grid, _ = arrange_grid(scene.problem(**rows))
     start, ambiguous = find_start(grid, scene.stations)
     zero = np.linalg.norm(scene.stations - scene.targets[0], axis=1)
     assert not ambiguous

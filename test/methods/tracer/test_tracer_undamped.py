@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from rotcal_ros.methods.tracer.solver.station_by_station import (
-    contract,
+    locate_by_contraction,
     locate_damped,
     locate_stations,
 )
@@ -47,7 +47,7 @@ def started(truth, spread, seed=1):
 def test_the_answer_is_that_of_scipy():
     truth, targets, length, weights = scene()
     start = started(truth, 0.05)
-    found, contracts = contract(targets, length, weights, start)
+    found, contracts = locate_by_contraction(targets, length, weights, start)
     assert contracts.all()
     expected = [by_scipy(targets, *row) for row in zip(length, weights, start, strict=True)]
     assert found == pytest.approx(np.array(expected), abs=1e-12)
@@ -63,7 +63,7 @@ def test_from_afar_some_fall_back_and_none_is_wrong(spread, least, most):
     fallen = 0
     for seed in range(20):
         start = started(truth, 0.5 * spread, seed)
-        found, contracts = contract(targets, length, weights, start)
+        found, contracts = locate_by_contraction(targets, length, weights, start)
         assert found[contracts] == pytest.approx(minimum[contracts], abs=1e-12)
         fallen += int((~contracts).sum())
         again, settled = locate_stations(targets, length, weights, start)
@@ -77,8 +77,8 @@ def test_from_afar_some_fall_back_and_none_is_wrong(spread, least, most):
 
 def test_a_minimum_stays_where_it_is():
     truth, targets, length, weights = scene()
-    minimum = contract(targets, length, weights, truth)[0]
-    again, contracts = contract(targets, length, weights, minimum)
+    minimum = locate_by_contraction(targets, length, weights, truth)[0]
+    again, contracts = locate_by_contraction(targets, length, weights, minimum)
     assert contracts.all()
     assert again == pytest.approx(minimum, abs=1e-14)
 
@@ -89,4 +89,4 @@ def test_a_station_that_the_targets_leave_open_is_not_called_found():
     length = np.linalg.norm(truth[:, None, :3] - targets, axis=2) - truth[:, 3:]
     start = started(truth, 0.01)
     start[:, 2] = truth[:, 2]
-    assert not contract(targets, length, weights, start)[1].any()
+    assert not locate_by_contraction(targets, length, weights, start)[1].any()

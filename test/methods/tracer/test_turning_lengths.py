@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from turning_scene import ARCSEC, DEGREE, turning_scene
 
-from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed
+from rotcal_ros.methods.tracer.solver.posed import AssumedParameters, PosedProblem
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import result_of
@@ -62,8 +62,8 @@ def solved(scene, *args, **more):
 
 
 def test_derivatives_are_the_differences_of_lengths():
-    posed = Posed.of(problem_of(turning_scene(1, angles=12)))
-    lengths = posed.lengths_of(Supposed())
+    posed = PosedProblem.of(problem_of(turning_scene(1, angles=12)))
+    lengths = posed.lengths_of(AssumedParameters())
     x = np.random.default_rng(1).normal(0.0, 1e-4, lengths.size)
     slopes, step = lengths.computed(x)[1].toarray(), 1e-6
     for block, first in lengths.first.items():

@@ -36,7 +36,7 @@ from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.measuring_order import spread_out
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.separability import couplings, multiplicity
+from rotcal_ros.methods.ball_plate.solver.separability import couplings, harmonic_multiplicity
 
 EXHAUSTIVE_LIMIT = 4_000_000
 """Layouts up to which all are looked at; beyond it exchange search takes over."""
@@ -371,7 +371,7 @@ def _variances(sums: Complexes, grid: int, n_balls: int) -> Floats:
         height = (upper * lower - cross_power) / determinant
     bad = _singular(upper, lower, middle, turn, determinant, n_balls)
     plane_down[:, 0] = tilt_down[:, 0] = 0.0  # fixed by a constraint at q = 1
-    twice = multiplicity(grid) / grid
+    twice = harmonic_multiplicity(grid) / grid
     result = np.stack(
         [
             turn @ twice,

@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.closures import Closed
+from rotcal_ros.adjust.closures import ClosureTest
 from rotcal_ros.adjust.distributions import noncentrality
-from rotcal_ros.adjust.effects import Observable, ObservableFamily, undetected
+from rotcal_ros.adjust.effects import ObservableEffect, ObservableFamily, largest_undetected
 from rotcal_ros.adjust.engine import LIMITS
-from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.fit import Fit, fit_model
 from rotcal_ros.adjust.model import Disturbing
-from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.adjust.observable import observe_columns
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import POWER
@@ -78,16 +78,16 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     )
     layout = PlateLayout(problem)
     model, rows = plate_model(layout), PlateRows(layout)
-    fit = fitted(model, np.ones(len(model.observed), dtype=np.bool_), model.std, model.first)
+    fit = fit_model(model, np.ones(len(model.observed), dtype=np.bool_), model.std, model.first)
     std, significance = fit.counting(fit.noise_std), LIMITS.of_each_effect(model)
-    closed = [Closed(fit, relation, 1.0, np.inf) for relation in model.closures]
+    closed = [ClosureTest(fit, relation, 1.0, np.inf) for relation in model.closures]
 
-    def seen_of(displacements: Floats) -> Observable:
+    def seen_of(displacements: Floats) -> ObservableEffect:
         columns = rows.of(displacements)
-        seen: Observable | ObservableFamily = observable_by(fit, columns)
+        seen: ObservableEffect | ObservableFamily = observe_columns(fit, columns)
         for each in closed:
             seen = each.beside(Disturbing("drift", "", columns, LARGEST), seen)
-        assert isinstance(seen, Observable)
+        assert isinstance(seen, ObservableEffect)
         return seen
 
     drift = seen_of(drift_columns(rows.time, 1))
@@ -106,13 +106,17 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
         for axis in range(3)
     ]
     errors = [
-        undetected(each, std, LARGEST, significance=significance / len(moments), power=POWER).error
+        largest_undetected(
+            each, std, LARGEST, significance=significance / len(moments), power=POWER
+        ).error
         for each in knocks
     ]
     return OrderForecast(
         effects=(*drifts, *moves),
         growth=_effect(fit, "growth", None, 0, [growth], 1.0, significance),
-        drift_unseen=undetected(drift, std, LARGEST, significance=significance, power=POWER).error,
+        drift_unseen=largest_undetected(
+            drift, std, LARGEST, significance=significance, power=POWER
+        ).error,
         knock_unseen=errors[_bad_moment(np.array(errors))],
     )
 
@@ -127,7 +131,7 @@ def _effect(
     kind: str,
     axis: int | None,
     column: int,
-    each: list[Observable],
+    each: list[ObservableEffect],
     length: float,
     significance: float,
 ) -> UnitEffect:

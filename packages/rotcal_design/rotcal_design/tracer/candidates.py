@@ -14,7 +14,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
-from rotcal_ros.methods.tracer.plan import require_beams, within
+from rotcal_ros.methods.tracer.plan import require_beams, within_reach
 from rotcal_ros.methods.tracer.policy.information import Lengths, Scene
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -69,7 +69,7 @@ def candidates(scene: Scene, settings: TracerDesignSettings) -> Lengths:
     position, target = (axis.ravel() for axis in np.indices((m, n)))
     start, apart = scene.stations[position], scene.targets[target] - scene.stations[position]
     distances = settings.min_distance_m, settings.max_distance_m
-    free = within(apart, distances, (settings.min_elevation_deg, settings.max_elevation_deg))
+    free = within_reach(apart, distances, (settings.min_elevation_deg, settings.max_elevation_deg))
     azimuth = np.arctan2(apart[:, 1], apart[:, 0]) / DEGREE
     free &= ~_in_sectors(azimuth, settings.blocked_azimuth_deg)
     on_turning = azimuth - scene.table_angles[position] / DEGREE

@@ -26,9 +26,9 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
-from rotcal_ros.adjust.circles import Circular, Turns
-from rotcal_ros.adjust.kernels import Defined, Design
+from rotcal_ros.adjust.bordered import Groups, SparseDesign
+from rotcal_ros.adjust.circles import CircleTurns, CircularDesign
+from rotcal_ros.adjust.kernels import ConstrainedKernel, Design
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
@@ -153,7 +153,7 @@ class PlateLayout:
         return found
 
     @cached_property
-    def circular(self) -> Circular | None:
+    def circular(self) -> CircularDesign | None:
         """The design as circles; None where places are missing."""
         table, cmm, ball = self.counts
         if table != self.problem.n_positions or cmm != self.problem.grid:
@@ -184,13 +184,15 @@ class PlateLayout:
         side = self.spots[self.at] // self.size % self.sides
         turn = 3 * (self.ball * self.sides + side)[:, None] + np.arange(3)
         shift = np.where(sign == 0.0, 0, shift % self.size)
-        found = Turns(
+        found = CircleTurns(
             self.size, sign.reshape(turns, -1), shift.reshape(turns, -1),
             tied.reshape(turns, -1), turn.ravel(),
             np.repeat(self.places[self.cmm] % self.size, 3),
         )  # fmt: skip
         n = len(found.turn)
-        return Circular(self.rows, found, np.ones(n), np.zeros((n, 0)), self.by_place(self.rows))
+        return CircularDesign(
+            self.rows, found, np.ones(n), np.zeros((n, 0)), self.by_place(self.rows)
+        )
 
     def _by_group(self, mine: Ints, values: Floats) -> Floats:
         """Return ``values`` (m, 3, k) of places as columns of their groups, (m, 3, g, k)."""
@@ -352,13 +354,13 @@ class PlateLayout:
         return Groups.of(rows, np.arange(6 * self.counts[0], self.unknowns))
 
     @cached_property
-    def _kernel(self) -> Defined:
+    def _kernel(self) -> ConstrainedKernel:
         none = np.zeros((0, self.unknowns))
-        design: Design = FewEach(self.rows, none, groups=self.by_place(self.rows))
+        design: Design = SparseDesign(self.rows, none, groups=self.by_place(self.rows))
         kernel = (self.circular or design).kernel()
         if kernel is None or kernel.directions.shape[1] != FREE * self.groups:
             raise ObservabilityError("these balls and CMM positions do not separate the errors")
-        return Defined.of(kernel, self.definitions)
+        return ConstrainedKernel.of(kernel, self.definitions)
 
 
 def _blocks(values: Floats, columns: Ints, unknowns: int) -> csr_array:

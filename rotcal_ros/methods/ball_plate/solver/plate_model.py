@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from scipy.sparse import block_diag, csr_array
 
-from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.bordered import SparseDesign
 from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.kernels import Defined, Design, Updated, Whole
+from rotcal_ros.adjust.kernels import ConstrainedKernel, DenseKernel, Design, LowRankUpdateKernel
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, KnownRelation, Model, Unit
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -93,12 +93,12 @@ class PlateRows:
         """Return the design: by circles where these are complete and all centres weigh alike."""
         layout, problem = self.layout, self.problem
         circular = layout.circular if self.turned and problem.weighed_alike else None
-        if circular is not None and isinstance(circular.kernel(), Updated):
+        if circular is not None and isinstance(circular.kernel(), LowRankUpdateKernel):
             return circular.with_extra(self.extra)
         rows = layout.rows
         if not self.turned:
             rows = csr_array(block_diag(np.swapaxes(layout.radial, 1, 2), format="csr") @ rows)
-        found = FewEach(rows, np.zeros((0, layout.unknowns)), groups=layout.by_place(rows))
+        found = SparseDesign(rows, np.zeros((0, layout.unknowns)), groups=layout.by_place(rows))
         return found.with_extra(self.extra) if self.extra.size else found
 
     def computed(self, x: Floats) -> Floats:
@@ -119,8 +119,8 @@ class PlateRows:
             return problem.std[self.layout.row].ravel(), 0.0
         if problem.sigma is not None:
             return np.full(3 * n, problem.sigma), 0.0
-        kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
-        x = Defined.of(kernel, self.layout.definitions).solve(misclosure)
+        kernel = design.kernel() or DenseKernel.of(design, np.zeros(0, dtype=np.int64))
+        x = ConstrainedKernel.of(kernel, self.layout.definitions).solve(misclosure)
         left, checked = np.abs(misclosure - design.times(x)), 1.0 - kernel.leverage
         every = left / np.sqrt(np.maximum(checked, ROUNDING)) / QUARTILE
         axial, least = np.tile([False, False, True], n), self.layout.neglected(x)

@@ -108,7 +108,7 @@ def common_divisor(grid: int, balls: Ints) -> int:
 def separability(grid: int, balls: Ints) -> Separability:
     """Judge a layout of balls (steps) that is measured at all CMM positions."""
     balls = np.unique(balls)
-    sums = phases(grid, balls).sum(axis=1)
+    sums = phase_factors(grid, balls).sum(axis=1)
     values, vectors = np.linalg.eigh(normal_matrices(sums, len(balls)))
     lost, weak = values < TOLERANCE * len(balls), values < WEAK * len(balls)
     return Separability(
@@ -164,7 +164,7 @@ def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> Non
         )
 
 
-def phases(grid: int, balls: Ints) -> Complexes:
+def phase_factors(grid: int, balls: Ints) -> Complexes:
     """Return exp(-2 pi i q j / N), (N//2 + 2, R), for q = 0 .. N//2 + 1."""
     turn = np.exp(-1j * grid_angles(grid))
     powers: Complexes = turn[np.outer(np.arange(grid // 2 + 2), balls) % grid]
@@ -207,7 +207,7 @@ def normal_matrices(sums: Complexes, n_balls: int) -> Complexes:
     return normal
 
 
-def multiplicity(grid: int) -> Floats:
+def harmonic_multiplicity(grid: int) -> Floats:
     """How often the harmonics q = 1..N//2 occur with both signs; Nyquist has no twin."""
     twice = np.full(grid // 2, 2.0)
     twice[-1] = 1.0 + grid % 2

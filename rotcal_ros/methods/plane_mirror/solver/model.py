@@ -61,9 +61,9 @@ from rotcal_ros.methods.plane_mirror.solver.printed import (
     Poses,
     azimuths,
     circle_readings,
-    cones,
+    cone_axes,
+    connected_islands,
     fit_circle,
-    islands,
     joining_map,
     mean_normals,
     placed_stations,
@@ -135,7 +135,9 @@ def _spans_at(layout: PointLayout, station: int) -> Iterator[Span]:
     contrast = np.eye(len(rows)) - to_mean / to_mean.sum(axis=1)[:, None]
     if len(np.unique(nests.point[here][to_mean.sum(axis=1) > 1])) < MIN_NESTS:
         return
-    design = movement(problem.xyz[rows])[:, :, None] * (contrast @ shares[rows])[:, None, :, None]
+    design = (
+        drift_movement(problem.xyz[rows])[:, :, None] * (contrast @ shares[rows])[:, None, :, None]
+    )
     design = design.reshape(3 * len(rows), -1)
     length = np.linalg.norm(design, axis=0)
     size = np.linalg.svd(design / np.where(length > 0.0, length, 1.0), compute_uv=False)
@@ -168,7 +170,7 @@ def _knots(layout: PointLayout, rows: Ints) -> Floats:
     return np.unique([begun, *inner, done])
 
 
-def movement(places: Floats) -> Floats:
+def drift_movement(places: Floats) -> Floats:
     """Return how the seven parts of a drift move points (k, 3): (k, 3, 7)."""
     beam = places / np.linalg.norm(places, axis=1, keepdims=True)
     shift = np.broadcast_to(np.eye(3), (len(places), 3, 3))
@@ -176,7 +178,7 @@ def movement(places: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class StartValues:
     """A first solution, from which the unknowns count.
 
     ``frame`` (3, 3): e1, e2, a as columns; ``lean`` beta (rad), ``distance`` (D,) of a mirror, or
@@ -193,7 +195,7 @@ class Start:
     nests: Floats
 
     @classmethod
-    def of(cls, layout: PointLayout) -> Start:
+    def of(cls, layout: PointLayout) -> StartValues:
         """Return what the points show without any weights."""
         problem, count = layout.problem, len(layout.stations)
         poses = Poses.untied(count)
@@ -228,7 +230,7 @@ def _of_normals(layout: PointLayout, poses: Poses) -> tuple[Poses, Floats, Float
     assert pairs is not None
     seen = mean_normals(layout.problem.xyz, pairs)
     sets = layout.sets(by_station=not layout.tied)
-    axes, height = cones(poses.turned(seen, pairs.station), sets)
+    axes, height = cone_axes(poses.turned(seen, pairs.station), sets)
     if layout.tied:
         placed = poses.turned(seen, pairs.station)
         turned, first = azimuths(placed, axes[0]), np.unique(pairs.position, return_index=True)[1]
@@ -285,13 +287,13 @@ class TrackerModel:
     """The equations of a ``layout`` about a ``start``, and what could spoil the points."""
 
     layout: PointLayout
-    start: Start
+    start: StartValues
     spans: list[Span]
 
     @classmethod
     def of(cls, layout: PointLayout) -> TrackerModel:
         """Return the model of a layout."""
-        return cls(layout, Start.of(layout), spans_of(layout)[0])
+        return cls(layout, StartValues.of(layout), spans_of(layout)[0])
 
     @property
     def pairs(self) -> int:
@@ -409,7 +411,9 @@ class TrackerModel:
         xyz = self.layout.problem.xyz
         courses = np.zeros((len(xyz), 0)), np.zeros((len(xyz), 0))
         course = np.column_stack([courses[0], *(span.course for span in self.spans)])
-        drift = (movement(xyz)[:, :, None, :] * course[:, None, :, None]).reshape(*xyz.shape, -1)
+        drift = (drift_movement(xyz)[:, :, None, :] * course[:, None, :, None]).reshape(
+            *xyz.shape, -1
+        )
         swings = [
             np.sin(term * np.pi * span.share)
             for span in self.spans
@@ -596,7 +600,7 @@ class TrackerModel:
         element = np.arange(m)
         outputs = block_rows(blocks, "nest")  # nests alone: where they stand
         if self.pairs:
-            label = islands(*ties(layout), len(layout.angles))[0]
+            label = connected_islands(*tied_positions(layout), len(layout.angles))[0]
             first = np.unique(label, return_index=True)[1][label]
             outputs = np.eye(len(first), count) - np.eye(len(first), count)[first]
         kinds = np.where(element < self.pairs, 0, 1)
@@ -660,7 +664,7 @@ class TrackerModel:
         if (point >= 0).any():
             moves = Steps(np.repeat(point, 3), moment, placed)
             yield Disturbing("knock", NEST_MOVED, moves, FAR, UM, family=True)
-        turned = self.root @ self.carried(movement(problem.xyz)[:, :, :3])
+        turned = self.root @ self.carried(drift_movement(problem.xyz)[:, :, :3])
         turned = turned.reshape(len(moment), 3)
         drifting = drifts(station, moment) * turned[:, 2:]
         yield Disturbing("drift", "the tracker turns slowly", drifting, LARGEST, family=True)
@@ -681,7 +685,7 @@ class TrackerModel:
         )
 
 
-def ties(layout: PointLayout) -> tuple[Ints, Ints]:
+def tied_positions(layout: PointLayout) -> tuple[Ints, Ints]:
     """Return positions, and what ties those of one number: a mirror all of them."""
     sets = layout.sets()
     return (

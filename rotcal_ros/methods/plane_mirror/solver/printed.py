@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -66,7 +66,7 @@ class Poses:
         return self.turned(points, station) + self.place[..., station, :]
 
 
-def curve(layout: PointLayout, way: str, points: Floats) -> Floats:
+def deviation_curve(layout: PointLayout, way: str, points: Floats) -> Floats:
     """Return the deviations (..., N) from the first position, by a printed way, of all points."""
     sets = layout.sets(by_station=way == STITCHING)
     poses = Poses.untied(len(layout.stations))
@@ -84,8 +84,8 @@ def curve(layout: PointLayout, way: str, points: Floats) -> Floats:
     return np.asarray(readings @ joining.T)
 
 
-def influence(layout: PointLayout, way: str, rows: Ints) -> Floats:
-    """Return the derivative (N, k, 3) of :func:`curve` by the points of ``rows`` (k,)."""
+def curve_derivative(layout: PointLayout, way: str, rows: Ints) -> Floats:
+    """Return the derivative (N, k, 3) of `deviation_curve` by the points of ``rows`` (k,)."""
     points, count = layout.problem.xyz, 3 * len(rows)
     found = np.zeros((len(layout.angles), count))
     for some in np.array_split(np.arange(count), count * points.size // 4_000_000 + 1):
@@ -93,7 +93,7 @@ def influence(layout: PointLayout, way: str, rows: Ints) -> Floats:
         each = np.arange(len(some))
         moved[each, rows[some // 3], some % 3] += STEP
         moved[len(some) + each, rows[some // 3], some % 3] -= STEP
-        ahead, behind = np.split(curve(layout, way, moved), 2)
+        ahead, behind = np.split(deviation_curve(layout, way, moved), 2)
         found[:, some] = (ahead - behind).T / (2.0 * STEP)
     return found.reshape(len(found), -1, 3)
 
@@ -131,13 +131,13 @@ def joining_map(position: Ints, zero: Ints, n: int) -> Floats:
     """Return the matrix (n, m) from readings (m,), each with the zero of its set, to deviations.
 
     The sum of Eq. 7 to 16 where sets share one position each. Positions that nothing ties to the
-    first count from the first of their own :func:`islands`.
+    first count from the first of their own :func:`connected_islands`.
     """
     m = len(position)
     design = np.zeros((m, n + int(zero.max()) + 1))
     design[np.arange(m), position] = 1.0
     design[np.arange(m), n + zero] = 1.0
-    label = islands(position, zero, n)[0]
+    label = connected_islands(position, zero, n)[0]
     counted = np.setdiff1d(np.arange(n), np.unique(label, return_index=True)[1])
     unknown = np.append(counted, np.arange(n, design.shape[1]))
     joined = np.zeros((n, m))
@@ -145,17 +145,18 @@ def joining_map(position: Ints, zero: Ints, n: int) -> Floats:
     return joined
 
 
-def islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:
+def connected_islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:
     """Return the island of each position (n,) and of each set; one island: all are tied."""
     sets = int(zero.max()) + 1
-    links = coo_array((np.ones(len(position)), (position, n + zero)), shape=(n + sets, n + sets))
+    # a matrix, not an array: of 64-bit indices scipy 1.11 makes labels that are wrong
+    links = coo_matrix((np.ones(len(position)), (position, n + zero)), shape=(n + sets, n + sets))
     _, label = connected_components(links, directed=False)
     return label[:n].astype(np.int64), label[n:].astype(np.int64)
 
 
 def cone_readings(normals: Floats, sets: Sets) -> Floats:
     """Return one deviation (..., G) per normal (..., G, 3), from the first of its set."""
-    axes, _ = cones(normals, sets)
+    axes, _ = cone_axes(normals, sets)
     readings = np.zeros(normals.shape[:-1])
     for at, commanded in sets:
         if len(at) > 1:
@@ -164,7 +165,7 @@ def cone_readings(normals: Floats, sets: Sets) -> Floats:
     return readings
 
 
-def cones(normals: Floats, sets: Sets) -> tuple[Floats, Floats]:
+def cone_axes(normals: Floats, sets: Sets) -> tuple[Floats, Floats]:
     """Return the axis (..., G, 3) that each normal turns about, and the height of all (...).
 
     The height, a.n, is the mean over the sets of three or more normals, which have a plane.

@@ -23,7 +23,7 @@ from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.geometry.rotations import require_spread, wrap_angle
 from rotcal_ros.methods.plane_mirror.settings import DIRECT, JOINT, STITCHING
-from rotcal_ros.methods.plane_mirror.solver.printed import islands, mean_normals
+from rotcal_ros.methods.plane_mirror.solver.printed import connected_islands, mean_normals
 from rotcal_ros.methods.plane_mirror.solver.problem import (
     MirrorPairs,
     Nests,
@@ -55,7 +55,7 @@ MIN_CIRCLE: Final = 1e-3
 """Smallest singular value of the places on a circle that show its centre and radius."""
 
 
-def laid_out(
+def lay_out_points(
     problem: PlaneMirrorProblem,
 ) -> tuple[PointLayout, tuple[Rejection, ...], tuple[Phrase, ...]]:
     """Return what belongs together, what is not used and why, and what the user must know.
@@ -270,7 +270,7 @@ def _require_chain(layout: PointLayout) -> None:
     problem, pairs = layout.problem, layout.pairs
     assert pairs is not None
     every, used = np.unique(pairs.station, return_inverse=True)
-    label = islands(pairs.position, used, len(layout.angles))[1]
+    label = connected_islands(pairs.position, used, len(layout.angles))[1]
     if len(loose := np.flatnonzero(label != label[0])):
         raise DataError(
             f"{problem.source}: tracker station {problem.station_name(int(every[loose[0]]))} "

@@ -17,7 +17,7 @@ import numpy as np
 from rotcal_ros.adjust.closures import Closure, closures
 from rotcal_ros.adjust.distributions import chi2_sf, normal_isf
 from rotcal_ros.adjust.engine import Adjusted, Trials, adjust
-from rotcal_ros.adjust.mapped import MappedFit, mapped
+from rotcal_ros.adjust.mapped import MappedFit, with_other_outputs
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
@@ -34,7 +34,7 @@ from rotcal_ros.methods.plane_mirror.solver.model import (
     TrackerModel,
     curve_model,
     spans_of,
-    ties,
+    tied_positions,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import (
     Nests,
@@ -45,7 +45,7 @@ from rotcal_ros.methods.plane_mirror.solver.problem import (
 from rotcal_ros.methods.plane_mirror.solver.set_up import (
     incidence,
     joining_nests,
-    laid_out,
+    lay_out_points,
     require_angles,
 )
 
@@ -110,7 +110,7 @@ def mirror_trials(problem: PlaneMirrorProblem) -> Trials:
 
 def curves(problem: PlaneMirrorProblem) -> tuple[CurveModel, Ints]:
     """Return the points over ECC, to be solved with others, and the positions (n,) they have."""
-    layout = laid_out(problem)[0]
+    layout = lay_out_points(problem)[0]
     return curve_model(layout), layout.positions
 
 
@@ -170,7 +170,7 @@ class MirrorSolution:
     @classmethod
     def of(cls, problem: PlaneMirrorProblem) -> MirrorSolution:
         """Solve a problem in its way."""
-        layout, rejected, doubts = laid_out(problem)
+        layout, rejected, doubts = lay_out_points(problem)
         tracker = TrackerModel.of(layout)
         found = adjust(tracker.model(), tracker.limits)
         solution = cls(layout, tracker, found, found, JOINT, rejected, doubts)
@@ -186,16 +186,16 @@ class MirrorSolution:
         tracker, found = self.tracker, self.joint
         layout = replace(self.layout, nests=self.split_nests).without(self.lost)
         require_angles(layout, way)
-        value = printed.curve(layout, way, layout.problem.xyz)
+        value = printed.deviation_curve(layout, way, layout.problem.xyz)
         order = np.argsort(self.layout.rows)
         kept = order[np.searchsorted(self.layout.rows, layout.rows, sorter=order)]
         by = np.zeros((len(value), *tracker.root.shape[:2]))
-        influence = printed.influence(layout, way, layout.rows)
+        influence = printed.curve_derivative(layout, way, layout.rows)
         by[:, kept] = np.einsum("omj,mjk->omk", influence, np.linalg.inv(tracker.root[kept]))
         n, count = len(found.model.observed), by[0].size
         whole = np.zeros((len(value), n))
         whole[:, :count] = by.reshape(len(value), -1)
-        return replace(self, found=mapped(found, value, whole), way=way)
+        return replace(self, found=with_other_outputs(found, value, whole), way=way)
 
     @cached_property
     def lost(self) -> Ints:
@@ -275,7 +275,7 @@ class MirrorSolution:
     @property
     def _free(self) -> tuple[FreeDirection, ...]:
         """The offsets of positions that no reflector ties together; a mirror ties all."""
-        label = printed.islands(*ties(self.layout), len(self.layout.angles))[0]
+        label = printed.connected_islands(*tied_positions(self.layout), len(self.layout.angles))[0]
         return tuple(
             FreeDirection(UNTIED, {"ECC": (label == own).astype(np.float64)})
             for own in range(1, int(label.max()) + 1)

@@ -1,8 +1,8 @@
 """The lengths of a laser tracer as an experiment: what any choice of steps would give.
 
 What is planned is linear about the nominal place of the tracer (:class:`Information`). What was
-observed enters by what the solver states of it (:class:`Stated`): its noise, which lengths it does
-not believe, drifts, and the U that ends a measurement.
+observed enters by what the solver states of it (:class:`StatedResult`): its noise, which lengths
+it does not believe, drifts, and the U that ends a measurement.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rotcal_ros.planning.readings import time_order
 
 
 @dataclass(frozen=True, slots=True)
-class Stated:
+class StatedResult:
     """A result as the solver states it now.
 
     ``uncertainty``: U of ECC less its mean, k = 2, rms over the angles, rad; infinite without a
@@ -48,7 +48,7 @@ class Stated:
     doubt: str = ""
 
     @classmethod
-    def of(cls, result: Result, observations: Sequence[Observation]) -> Stated:
+    def of(cls, result: Result, observations: Sequence[Observation]) -> StatedResult:
         """Return what a ``result`` of ``observations`` states, which are its rows."""
         motion, rows = result.error_motion, result.residuals
         assert rows is not None
@@ -64,7 +64,7 @@ class Stated:
         )
 
 
-Solver: TypeAlias = Callable[[Sequence[Observation]], Stated]
+Solver: TypeAlias = Callable[[Sequence[Observation]], StatedResult]
 """Solves all accepted observations as the calibration will."""
 
 

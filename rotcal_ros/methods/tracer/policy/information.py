@@ -28,17 +28,22 @@ from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array, diags_array, vstack
+from scipy.sparse import csr_array, diags, vstack
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.bordered import Groups, SparseDesign
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.adjust.kernels import Whole
+from rotcal_ros.adjust.kernels import DenseKernel
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes, table_motion
-from rotcal_ros.methods.tracer.solver.posed import about_axis, carried, of_targets, outward
+from rotcal_ros.methods.tracer.solver.posed import (
+    axis_knowledge,
+    carrying_axis,
+    outward_direction,
+    target_knowledge,
+)
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
@@ -110,7 +115,7 @@ class Scene:
 
     @cached_property
     def _carriage(self) -> tuple[Floats, Floats, Floats]:
-        return carried(self.stations, self.table_angles)
+        return carrying_axis(self.stations, self.table_angles)
 
     def posed(self, lengths: Lengths, segments: int) -> CarriedLengths:
         """Return ``lengths`` with so many zeros as the solver has them, to all targets."""
@@ -121,7 +126,7 @@ class Scene:
             target=lengths.target, zero=lengths.segment, row=every, order=every,
             station=lengths.position, angles=self.table_angles, places=place[None],
             targets=self.targets, zeros=np.zeros(segments), axes=axes, origin=origin,
-            place_ways=outward(place),
+            place_ways=outward_direction(place),
             more={"frame": 2} | ({} if self.circle_std is None else {"lean": 3}),
         )  # fmt: skip
 
@@ -135,15 +140,15 @@ class Scene:
             empty, motion = self.posed(Lengths.of([], []), segments), self.error_motion_std
             if motion is None:
                 motion = self.circle_std or 0.0
-            _, across, along = about_axis(empty, motion, self.circle_std)
+            _, across, along = axis_knowledge(empty, motion, self.circle_std)
             nominal = np.full(empty.size, 1.0 / NOMINAL_STD)
             turn = empty.first["turn"]
             nominal[turn : turn + empty.blocks["turn"]] *= np.linalg.norm(empty.places)
             target = empty.first["target"] + np.arange(self.targets.size)
             held = np.delete(np.arange(empty.size), target)
             entries = nominal[held], held, np.arange(len(held) + 1)
-            stated = [across, *along, *of_targets(empty, self.target_std, free=False)]
-            parts = [diags_array(1.0 / each.std) @ each.rows for each in stated]
+            stated = [across, *along, *target_knowledge(empty, self.target_std, free=False)]
+            parts = [diags(1.0 / each.std) @ each.rows for each in stated]
             first = csr_array(entries, shape=(len(held), empty.size))
             self._known[segments] = csr_array(vstack([first, *parts], format="csr"))
         return self._known[segments]
@@ -329,11 +334,11 @@ class Information:
         stated = last + (n * np.arange(3)[:, None] + touched).ravel()
         known = known[np.append(np.arange(last), stated)][:, self._unknown]
         rows, variance = self._rows(lengths)
-        rows = diags_array(np.sqrt(lengths.weight / variance)) @ rows
+        rows = diags(np.sqrt(lengths.weight / variance)) @ rows
         few = csr_array(vstack([rows, known], format="csr"))
         shared = np.searchsorted(self._unknown, left)
-        design = FewEach(few, np.zeros((0, few.shape[1])), groups=Groups.of(few, shared))
-        self._kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
+        design = SparseDesign(few, np.zeros((0, few.shape[1])), groups=Groups.of(few, shared))
+        self._kernel = design.kernel() or DenseKernel.of(design, np.zeros(0, dtype=np.int64))
         turn = np.searchsorted(self._unknown, first["turn"])
         outputs = np.zeros((len(scene.stations), len(self._unknown)))
         m = len(outputs)

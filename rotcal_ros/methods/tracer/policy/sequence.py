@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from rotcal_ros.adjust.effects import Undetected
+from rotcal_ros.adjust.effects import LargestUndetected
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
@@ -111,7 +111,7 @@ def ranks(order: Ints) -> Ints:
     return rank
 
 
-def _unseen(worst: Undetected) -> float:
+def _unseen(worst: LargestUndetected) -> float:
     """Return the error of a statement: none where it is harmless, any where it cannot be seen."""
     return {"harmless": 0.0, "not protected": inf, "tested": worst.error}.get(worst.treatment, inf)
 

@@ -19,7 +19,7 @@ With known noise the first sweep is all that there is to plan. The fewest steps 
 exchange; they are then shared among sweeps there and back, so that neither a drift of the machine
 nor a knock of the tracer is mistaken for a deviation
 (:mod:`rotcal_ros.methods.tracer.policy.sequence`). Further steps are those with the best gain per
-second, spread over the stations (:func:`pick`).
+second, spread over the stations (:func:`choose_steps`).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from rotcal_ros.methods.tracer.policy.experiment import (
     Allowance,
     LengthExperiment,
     MeasuredLengths,
-    Stated,
+    StatedResult,
 )
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths
 from rotcal_ros.methods.tracer.policy.sequence import (
@@ -131,7 +131,7 @@ class UntilGoal:
         """Whether the goal may be out of reach, and what all steps would give (rad), if known."""
         self._seen: dict[tuple[int, int], Observation] = {}
         """The last observation of every run and step: all that the solver will get."""
-        self._result: Stated | None = None
+        self._result: StatedResult | None = None
         """What the result of these states, once it was asked for."""
         self._stop: Phrase | None = None
         """Why nothing more is measured."""
@@ -224,7 +224,7 @@ class UntilGoal:
             self._now = self._experiment.uncertainty(self._measured, self.noise_factor)
         return self._now
 
-    def _solved(self) -> Stated:
+    def _solved(self) -> StatedResult:
         """Return what the result states of all that was measured."""
         if self._result is None:
             self._result = self._experiment.solved(tuple(self._seen.values()))
@@ -253,8 +253,8 @@ class UntilGoal:
             self._allow_for(result)
         if (stop := self._beyond_reach()) is not None:
             return stop
-        wish = Wish(self._allowance.planned(goal), self.noise_factor)
-        more = pick(of, self._measured, self._beams.allowed, self._beams.chance, wish)
+        wish = StepRequirement(self._allowance.planned(goal), self.noise_factor)
+        more = choose_steps(of, self._measured, self._beams.allowed, self._beams.chance, wish)
         if not more:
             lacking = of.describe_lacking(self._measured)
             worse = lacking or phrase(
@@ -279,7 +279,7 @@ class UntilGoal:
             "{0}; but the verdict would not be ok: {1}", self._learnt, self._result.doubt
         )
 
-    def _allow_for(self, result: Stated) -> None:
+    def _allow_for(self, result: StatedResult) -> None:
         """Plan from now on for what the solver states, which is more than what was planned."""
         planned = self._experiment.planned(self._measured, self.noise_factor)
         floor = self._experiment.felt(result.error_motion)
@@ -310,7 +310,7 @@ class UntilGoal:
             )
         return phrase("the goal is out of reach: {0}, {1}", missed, self._noise_and_doubt)
 
-    def _measure_again(self, result: Stated) -> bool:
+    def _measure_again(self, result: StatedResult) -> bool:
         """Queue what suspect lengths require: the same again, or other targets."""
         kept = self._measured.observations
         suspects = [each for each in result.suspects if each[0] in kept]
@@ -326,7 +326,7 @@ class UntilGoal:
                 self._replace(suspect.step, why)
         return bool(self._queue)
 
-    def _close(self, result: Stated) -> bool:
+    def _close(self, result: StatedResult) -> bool:
         """Queue steps that close a sweep that drifts; False: it does not, or is closed already."""
         if self._closing.begun or not result.drifts:
             return False
@@ -438,10 +438,10 @@ def _reaching(of: LengthExperiment, uncertainty: float) -> Sweep:
         if not uncertainty < found < np.inf:
             break
         aim *= uncertainty / found
-    return protected(of, steps)
+    return drift_proof_sweep(of, steps)
 
 
-def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
+def drift_proof_sweep(of: LengthExperiment, steps: list[int]) -> Sweep:
     """Return ``steps`` in the quickest order that shows drift and knock in time, or most of it."""
     if not of.solvable(of.nothing, steps):
         return Sweep(tuple(_as_sweep(of, steps, None)), np.inf, np.inf)
@@ -459,8 +459,8 @@ def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
 
 def _fewest(of: LengthExperiment, uncertainty: float) -> list[int]:
     every = np.ones(len(of.plan.steps), dtype=np.bool_)
-    wish = Wish(uncertainty, 1.0)
-    steps = pick(of, of.nothing, every, np.ones(len(every)), wish, sweep=True)
+    wish = StepRequirement(uncertainty, 1.0)
+    steps = choose_steps(of, of.nothing, every, np.ones(len(every)), wish, sweep=True)
     return _exchanged(of, steps, uncertainty)
 
 
@@ -562,7 +562,7 @@ class Suspects:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class StepRequirement:
     """What a set of steps has to reach: ``uncertainty`` (rad, k = 2) with this noise.
 
     ``noise`` is a factor on the planned standard deviation of a length.
@@ -576,12 +576,12 @@ class Wish:
         return float((COVERAGE_FACTOR * known.rms_std / self.uncertainty) ** 2 - 1.0)
 
 
-def pick(
+def choose_steps(
     of: LengthExperiment,
     measured: MeasuredLengths,
     allowed: Bools,
     chance: Floats,
-    wish: Wish,
+    wish: StepRequirement,
     *,
     sweep: bool = False,
 ) -> list[int]:

@@ -260,7 +260,7 @@ def _slope(vector: Floats) -> Floats:
     return np.asarray(np.eye(3) + 0.5 * across + across @ across / 6.0)
 
 
-def taken(row: Ints, order: Ints) -> tuple[Ints, Ints, Ints]:
+def order_taken(row: Ints, order: Ints) -> tuple[Ints, Ints, Ints]:
     """Return of which strip and target each length (k,) is, and when, in the order of taking.
 
     ``row`` (p, n): of the problem, -1 for none; ``order``: when each row was taken.

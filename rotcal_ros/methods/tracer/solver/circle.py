@@ -148,7 +148,7 @@ def algorithm_error(angle: ArrayLike, tilt: float) -> Floats:
     return wrap_angle(np.arctan2(np.sin(theta) * np.cos(tilt), np.cos(theta)) - theta)
 
 
-def scatter(adjacent: Floats) -> float:
+def printed_scatter(adjacent: Floats) -> float:
     """Return the paper's sigma of the ``adjacent`` deviations (q,), q > 1, in radians (Eq. 34).
 
     Half the root of sum(dtheta^2) / (q (q - 1)). Slip: printed with m, the number of stations,

@@ -70,7 +70,7 @@ def limits_of(settings: TracerLimits) -> Limits:
     )
 
 
-def or_prior(*, free: bool) -> str:
+def prior_datum_advice(*, free: bool) -> str:
     """Return the advice to take the datum 'prior', for a network that does without: ``free``."""
     return ", or use the datum 'prior'" if free else ""
 
@@ -155,7 +155,7 @@ def check_station_spread(
     ``stations`` (m, 3), ``blocks`` (m, 3, 3) their covariances in m^2.
     """
     j, std, direction = weakest_direction(blocks)
-    radius, unturned = _radius(stations), hardly_moved(stations)
+    radius, unturned = _radius(stations), stand_at_one_place(stations)
     if std > largest * radius or unturned:
         raise ObservabilityError(
             f"station {position_ids[j]} is known to {std:.3g} m only along "
@@ -165,7 +165,7 @@ def check_station_spread(
         )
 
 
-def hardly_moved(stations: Floats) -> bool:
+def stand_at_one_place(stations: Floats) -> bool:
     """Whether ``stations`` (m, 3) all stand at one place: the table never turned."""
     return _radius(stations) < HARDLY_MOVED_M
 
@@ -300,7 +300,7 @@ class Numbering:
         )
 
 
-def turned_by(found: Floats, stated: Floats) -> float:
+def rotation_about_z_between(found: Floats, stated: Floats) -> float:
     """Return by which angle (rad) about z points ``found`` (k, 3) are turned from ``stated``.
 
     Wherever the axis is: places of a circle that is shifted are turned by nothing.

@@ -25,7 +25,7 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.closures import coming_again
+from rotcal_ros.adjust.closures import repeated_angles
 from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.model import (
     SECONDS,
@@ -54,18 +54,23 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
     WORDS,
     CarriedLengths,
     KnownBeforehand,
-    taken,
+    order_taken,
 )
 from rotcal_ros.methods.tracer.solver.circle import check_sense, table_motion
 from rotcal_ros.methods.tracer.solver.observability import (
     NEVER_TURNED,
     check_counts,
     check_each_alone,
-    hardly_moved,
+    stand_at_one_place,
 )
-from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.problem import (
+    Grid,
+    TracerProblem,
+    UnplacedRows,
+    arrange_grid,
+)
 from rotcal_ros.methods.tracer.solver.reported import along_beams
-from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
+from rotcal_ros.methods.tracer.solver.start import find_any_start, fit_zeros
 from rotcal_ros.planning.readings import passes
 
 SAME_ANGLE_DIFFERS: Final = noted("stations {0} and {1} stand at the same table angle but differ")
@@ -109,7 +114,7 @@ PLACES: Final = 4_000_000
 
 
 @dataclass(frozen=True)
-class Supposed:
+class AssumedParameters:
     """What is not known beforehand, as it is supposed to be.
 
     ``walk``: standard deviation of a zero's step from one length to the next, m; 0: it stands.
@@ -125,7 +130,7 @@ class Supposed:
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class PosedProblem:
     """A ``problem`` on its ``grid``, and its ``lengths`` at start values.
 
     ``ambiguous``: mirror images of the stations fit as well.
@@ -133,17 +138,17 @@ class Posed:
 
     problem: TracerProblem
     grid: Grid
-    absent: Absent
+    absent: UnplacedRows
     lengths: CarriedLengths
     ambiguous: bool
 
     @classmethod
-    def of(cls, problem: TracerProblem, alone: bool = True) -> Posed:
+    def of(cls, problem: TracerProblem, alone: bool = True) -> PosedProblem:
         """Return what ``problem`` poses; raises what arranging and the start values raise.
 
         ``alone``: its lengths have to be enough for all unknowns.
         """
-        grid, absent = arrange(problem)
+        grid, absent = arrange_grid(problem)
         if alone:
             check_counts(grid, absent.unfit.values())
         angles = problem.table_angles[grid.position_ids]
@@ -151,7 +156,7 @@ class Posed:
         given = None if given is None else given[grid.position_ids]
         state, ambiguous = find_any_start(grid, given, angles)
         stations = state[grid.first_strip, :3]
-        if hardly_moved(stations):
+        if stand_at_one_place(stations):
             raise ObservabilityError(NEVER_TURNED)
         if problem.variant == "station":
             check_each_alone(grid, state, problem.settings.max_station_std)
@@ -164,18 +169,18 @@ class Posed:
         cls,
         problem: TracerProblem,
         grid: Grid,
-        absent: Absent,
+        absent: UnplacedRows,
         state: Floats,
         ambiguous: bool = False,
-    ) -> Posed:
+    ) -> PosedProblem:
         """Return it with stations and distances (p, 4) of the strips of its grid, m."""
         lengths = _lengths(problem, grid, state[grid.first_strip, :3], state[:, 3])
         return cls(problem, grid, absent, lengths, ambiguous)
 
-    def again(self, stations: Floats) -> Posed:
+    def again(self, stations: Floats) -> PosedProblem:
         """Return it with better start values: where stations (m, 3) stand, m."""
-        state = with_zeros(self.grid, stations[self.grid.station])
-        return Posed.at(self.problem, self.grid, self.absent, state, self.ambiguous)
+        state = fit_zeros(self.grid, stations[self.grid.station])
+        return PosedProblem.at(self.problem, self.grid, self.absent, state, self.ambiguous)
 
     def every_station(self) -> Floats:
         """Return where the tracer stands at all table angles, at the start values, m."""
@@ -189,7 +194,7 @@ class Posed:
         """By how much the reported moves of its target make each length (k,) longer, m."""
         return along_beams(self.lengths, self.problem.moved)
 
-    def lengths_of(self, supposed: Supposed) -> CarriedLengths:
+    def lengths_of(self, supposed: AssumedParameters) -> CarriedLengths:
         """Return the lengths with the unknowns that what is supposed leaves them."""
         lengths = self.lengths
         if self.moved is not None:
@@ -205,11 +210,11 @@ class Posed:
             lengths = replace(lengths, more={**lengths.more, turning.MOTION: 4 * orders})
         return lengths
 
-    def model(self, supposed: Supposed) -> Model:
+    def model(self, supposed: AssumedParameters) -> Model:
         """Return the model whose outputs are ECC of all positions, from the first."""
         lengths, grid = self.lengths_of(supposed), self.grid
         position, target = grid.position_ids[lengths.position], grid.target_ids[lengths.target]
-        stated = of_targets(lengths, grid.target_std, grid.free)
+        stated = target_knowledge(lengths, grid.target_std, grid.free)
         if supposed.walk:
             stated.append(_steps_of_zeros(lengths, supposed.walk))
         begin = lengths.first["turn"]
@@ -242,7 +247,7 @@ class Posed:
         angles, number, found = self.lengths.angles, self.grid.position_ids, []
         if self.problem.repeated_runs:
             return []
-        for first, last in coming_again(angles):
+        for first, last in repeated_angles(angles):
             rows = np.zeros((1, len(angles)))
             rows[0, [first, last]] = -1.0, 1.0
             what = phrase(SAME_ANGLE_DIFFERS, number[first], number[last])
@@ -255,14 +260,18 @@ class Posed:
         stated = self.problem.error_motion_std
         return self.problem.circle_std if stated is None else stated
 
-    def _about_axis(self, lengths: CarriedLengths, model: Model, supposed: Supposed) -> Model:
+    def _about_axis(
+        self, lengths: CarriedLengths, model: Model, supposed: AssumedParameters
+    ) -> Model:
         """Return the model with what is known of how the table's axis moves."""
-        across, motion, along = about_axis(lengths, self.motion, self.problem.circle_std)
+        across, motion, along = axis_knowledge(lengths, self.motion, self.problem.circle_std)
         for known in along:
             model = known.beside(model)
         size = None if self.motion is None else float(motion.std[0])
         if lengths.speed is None:
-            model = with_motion(model, motion.what, motion.rows, size, lengths.angles, across)
+            model = with_error_motion(
+                model, motion.what, motion.rows, size, lengths.angles, across
+            )
         else:
             model = self._turning(lengths, model, motion, across, supposed)
         significance = self.problem.settings.test_significance
@@ -271,7 +280,7 @@ class Posed:
 
     def _turning(
         self, lengths: CarriedLengths, model: Model, motion: KnownBeforehand, across: csr_array,
-        supposed: Supposed,
+        supposed: AssumedParameters,
     ) -> Model:  # fmt: skip
         """Return the model of a table that turns, with its motion and the lag of its feedback.
 
@@ -283,19 +292,19 @@ class Posed:
         if turning.MOTION not in lengths.more:
             model = motion.beside(model)
         elif self.motion is not None:
-            rows = csr_array(motion.rows - across @ turning.moved(lengths, SPECTRA))
+            rows = csr_array(motion.rows - across @ turning.motion_design(lengths, SPECTRA))
             model = motion._replace(rows=rows).beside(model)
             model = turning.with_stated_motion(model, lengths, SPECTRA, self.motion)
         else:
-            rows = csr_array(motion.rows - across @ turning.moved(lengths, SPECTRA))
+            rows = csr_array(motion.rows - across @ turning.motion_design(lengths, SPECTRA))
             model = KnownBeforehand(motion.what, rows, np.tile(supposed.other, m)).beside(model)
-            model = turning.with_motion(model, lengths, SPECTRA, FREE_CIRCLE)
+            model = turning.with_unknown_motion(model, lengths, SPECTRA, FREE_CIRCLE)
         shared = [name for name in lengths.blocks if name not in ("shift", "turn")]
         model = replace(model, shared=shared)  # hundreds of places, and few targets
-        return turning.of_one_table(model, lengths, problem.lag, problem.lag_std)
+        return turning.tie_runs_of_table(model, lengths, problem.lag, problem.lag_std)
 
 
-def about_axis(
+def axis_knowledge(
     lengths: CarriedLengths, stated: float | None, circle: float | None
 ) -> tuple[csr_array, KnownBeforehand, list[KnownBeforehand]]:
     """Return what is known of where the table's axis carries the instrument.
@@ -328,7 +337,7 @@ def about_axis(
     )
 
 
-def with_motion(
+def with_error_motion(
     model: Model,
     name: str,
     rows: csr_array,
@@ -352,7 +361,7 @@ def with_motion(
     return model.scattering(name, rows, size, FREE_CIRCLE, ways)
 
 
-def carried(stations: Floats, angles: Floats) -> tuple[Floats, Floats, Floats]:
+def carrying_axis(stations: Floats, angles: Floats) -> tuple[Floats, Floats, Floats]:
     """Return axes (3, 3), place on the table (3,) and origin (3,) that carry to ``stations``."""
     axes, m = np.eye(3), len(stations)
     if m >= CIRCLE:
@@ -361,7 +370,7 @@ def carried(stations: Floats, angles: Floats) -> tuple[Floats, Floats, Floats]:
     local = stations @ axes  # = centre + Rz(angle) q
     about = rotation_about_z(angles)[:, :2, :2]
     design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
-    found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
+    found = np.linalg.lstsq(design, local[:, :2].ravel(), rcond=None)[0]
     return axes, np.array([*found[2:], 0.0]), axes @ [*found[:2], local[:, 2].mean()]
 
 
@@ -370,8 +379,8 @@ def _lengths(
 ) -> CarriedLengths:
     """Return the lengths of a ``grid``, from ``stations`` (m, 3) and ``distances`` (p,), m."""
     angles = problem.table_angles[grid.position_ids]
-    axes, place, origin = carried(stations, angles)
-    strip, target, order = taken(grid.row, problem.measuring_order)
+    axes, place, origin = carrying_axis(stations, angles)
+    strip, target, order = order_taken(grid.row, problem.measuring_order)
     zero, row = grid.station if grid.zero is None else grid.zero, grid.row[strip, target]
     later, std = _later_runs(problem, row)
     later_zeros = int(later.max(initial=-1)) + 1
@@ -391,7 +400,7 @@ def _lengths(
         zeros=distances[grid.first_of_zero],
         axes=axes,
         origin=origin,
-        place_ways=outward(place),
+        place_ways=outward_direction(place),
         more={"frame": 2}
         | ({LATER_RUN: later_zeros} if later_zeros else {})
         | ({} if problem.speed is None else {LAG: 1}),
@@ -445,7 +454,7 @@ def _steps_of_zeros(lengths: CarriedLengths, walk: float) -> KnownBeforehand:
     return KnownBeforehand("the walk of the zero", csr_array(rows), np.full(len(linked), walk))
 
 
-def outward(place: Floats) -> Floats:
+def outward_direction(place: Floats) -> Floats:
     """Return the way (3, 1) in which a ``place`` (3,) is unknown: out from the axis.
 
     Along it and up it is a shift of all.
@@ -454,7 +463,7 @@ def outward(place: Floats) -> Floats:
     return np.asarray(flat / np.linalg.norm(flat))[:, None]
 
 
-def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBeforehand]:
+def target_knowledge(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBeforehand]:
     """Return what is stated of the targets: ``std`` (n, 3), m, of each coordinate.
 
     Or where they are ``free``, that they have not moved, turned or grown as a whole: it defines

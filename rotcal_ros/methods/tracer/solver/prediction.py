@@ -6,20 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotcal_ros.adjust.closures import Closed
+from rotcal_ros.adjust.closures import ClosureTest
 from rotcal_ros.adjust.effects import (
+    LargestUndetected,
     ObservableFamily,
-    Undetected,
-    undetected,
-    undetected_family,
+    largest_undetected,
+    largest_undetected_of_family,
 )
-from rotcal_ros.adjust.fit import Fit, fitted, require_determined
-from rotcal_ros.adjust.observable import seen_of
+from rotcal_ros.adjust.fit import Fit, fit_model, require_determined
+from rotcal_ros.adjust.observable import observe_effect
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Effect
 from rotcal_ros.methods.tracer.solver.observability import check_counts, limits_of
-from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed, effects_of
-from rotcal_ros.methods.tracer.solver.problem import TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.posed import AssumedParameters, PosedProblem, effects_of
+from rotcal_ros.methods.tracer.solver.problem import TracerProblem, arrange_grid
 from rotcal_ros.methods.tracer.solver.solution import ecc_of_stations, unseen_slips
 
 
@@ -30,7 +30,7 @@ class Prediction:
     ``redundancy`` (k,) by row of the problem; NaN for lengths that have no place on its grid.
     """
 
-    posed: Posed
+    posed: PosedProblem
     fit: Fit
     covariance: Floats
 
@@ -42,7 +42,7 @@ class Prediction:
         found[row] = self.fit.redundancy[: len(row)]
         return found
 
-    def hides(self, order: Ints) -> dict[Effect, Undetected]:
+    def hides(self, order: Ints) -> dict[Effect, LargestUndetected]:
         """Return what of drift and knock stays unseen where rows (k,) are measured in ``order``.
 
         ``order``: when each row of the problem is measured.
@@ -51,20 +51,24 @@ class Prediction:
         timed = replace(lengths, order=order[lengths.row])
         limits = limits_of(self.posed.problem.settings)
         each, std = limits.of_each_effect(self.fit.model), np.sqrt(self.covariance.diagonal())
-        closed = [Closed(self.fit, known, 1.0, np.inf) for known in self.fit.model.closures]
-        found = dict[Effect, Undetected]()
+        closed = [ClosureTest(self.fit, known, 1.0, np.inf) for known in self.fit.model.closures]
+        found = dict[Effect, LargestUndetected]()
         unbroken = self.posed.problem.segment is not None
         for effect in effects_of(timed, unbroken=unbroken):
             if effect.effect not in ("drift", "knock"):
                 continue
             known = effect.beside(self.fit.model.size[0] - len(lengths.row))
-            seen = seen_of(self.fit, known)
+            seen = observe_effect(self.fit, known)
             for relation in closed:
                 seen = relation.beside(known, seen)
             if isinstance(seen, ObservableFamily):
-                worst = undetected_family(seen, std, known.largest, significance=each, power=POWER)
+                worst = largest_undetected_of_family(
+                    seen, std, known.largest, significance=each, power=POWER
+                )
             else:
-                worst = undetected(seen, std, known.largest, significance=each, power=POWER)
+                worst = largest_undetected(
+                    seen, std, known.largest, significance=each, power=POWER
+                )
             if effect.effect not in found or worst.error > found[effect.effect].error:
                 found[effect.effect] = worst
         return found
@@ -80,23 +84,23 @@ def predicted(problem: TracerProblem, stations: Floats | None = None) -> Predict
     Raises ObservabilityError when the lengths are too few or leave a direction open.
     """
     if stations is None:
-        stations = Posed.of(problem).every_station()
+        stations = PosedProblem.of(problem).every_station()
     apart = stations[problem.position] - problem.targets[problem.target]
     exact = replace(problem, length=np.sqrt((apart**2).sum(axis=1)), variant="joint")
     if problem.error_motion_std is None and problem.circle_std is None:
         exact = replace(exact, error_motion_std=0.0)
-    grid, absent = arrange(exact)
+    grid, absent = arrange_grid(exact)
     check_counts(grid)
     standing = stations[grid.position_ids][grid.station]
     state = np.column_stack([standing, np.zeros(len(standing))])
-    posed = Posed.at(exact, grid, absent, state)
-    model = posed.model(Supposed(walk=problem.zero_walk_std or 0.0))
+    posed = PosedProblem.at(exact, grid, absent, state)
+    model = posed.model(AssumedParameters(walk=problem.zero_walk_std or 0.0))
     require_determined(model)
     computed = model.equations(model.first)[0]
     every = np.ones(len(computed), dtype=np.bool_)
     correlated = [each.planned() for each in model.correlated]
     exact_model = replace(model, observed=computed, correlated=correlated)
-    fit = fitted(exact_model, every, model.std, model.first)
+    fit = fit_model(exact_model, every, model.std, model.first)
     if problem.variant == "station":
         covariance = ecc_of_stations(posed, fit, state)
     else:

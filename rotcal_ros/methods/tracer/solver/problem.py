@@ -41,32 +41,34 @@ _DEFAULTS: Final = TracerSolverSettings()
 _LATEST: Final = 2**62
 
 
-def vector(name: str, values: ArrayLike, size: int | None = None) -> Floats:
+def finite_vector(name: str, values: ArrayLike, size: int | None = None) -> Floats:
     """Return ``values`` as a vector of finite numbers, of ``size`` if one is given."""
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1 or (size is not None and len(array) != size):
         expected = "one dimension" if size is None else f"shape ({size},), one value per row"
         raise DataError(f"{name} has shape {array.shape}, expected {expected}")
-    return require(np.isfinite(array), array, name, "a finite number")
+    return require_all(np.isfinite(array), array, name, "a finite number")
 
 
-def matrix(name: str, values: ArrayLike) -> Floats:
+def finite_matrix(name: str, values: ArrayLike) -> Floats:
     """Return ``values`` as finite numbers (n, 3)."""
     array = np.array(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise DataError(f"{name} has shape {array.shape}, expected (n, 3)")
-    return require(np.isfinite(array), array, name, "a finite number")
+    return require_all(np.isfinite(array), array, name, "a finite number")
 
 
-def broadcast(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+def finite_broadcast(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """Return finite ``values``, one number or an array of that ``shape``, in that shape."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape not in ((), shape):
         raise DataError(f"{name} has shape {array.shape}, expected one number or {shape}")
-    return require(np.isfinite(array), np.full(shape, array), name, "a finite number")
+    return require_all(np.isfinite(array), np.full(shape, array), name, "a finite number")
 
 
-def indices(name: str, values: ArrayLike, limit: int, size: int | None = None) -> NDArray[Any]:
+def valid_indices(
+    name: str, values: ArrayLike, limit: int, size: int | None = None
+) -> NDArray[Any]:
     """Return ``values`` as whole numbers from 0 to below ``limit``."""
     array = np.asarray(values)
     if array.size == 0:
@@ -80,10 +82,10 @@ def indices(name: str, values: ArrayLike, limit: int, size: int | None = None) -
             f"{name} is {array.dtype} of shape {array.shape}, expected whole numbers, one per row"
         )
     inside = (array >= 0) & (array < limit)
-    return require(inside, array.astype(np.int64), f"{name} index", f"0 to {limit - 1}")
+    return require_all(inside, array.astype(np.int64), f"{name} index", f"0 to {limit - 1}")
 
 
-def require(good: Bools, array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
+def require_all(good: Bools, array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
     """Return ``array`` where all is ``good``; else raise DataError naming the first bad entry."""
     good = np.broadcast_to(good, array.shape)
     if not good.all():
@@ -134,21 +136,21 @@ class LengthProblem:
         """Check and freeze the columns."""
         self._require_known("datum", get_args(Datum))
         self._require_sizes("slip")
-        angles = self._store("table_angles", vector("table_angles", self.table_angles))
-        targets = self._store("targets", matrix("targets", self.targets))
-        position = self._store("position", indices("position", self.position, len(angles)))
+        angles = self._store("table_angles", finite_vector("table_angles", self.table_angles))
+        targets = self._store("targets", finite_matrix("targets", self.targets))
+        position = self._store("position", valid_indices("position", self.position, len(angles)))
         k = len(position)
-        length = self._store("length", vector("length", self.length, k))
-        self._store("target", indices("target", self.target, len(targets), k))
-        std = broadcast("length_std", self.length_std, length.shape)
-        self._store("length_std", require(std > 0.0, std, "length_std", "a positive number"))
+        length = self._store("length", finite_vector("length", self.length, k))
+        self._store("target", valid_indices("target", self.target, len(targets), k))
+        std = finite_broadcast("length_std", self.length_std, length.shape)
+        self._store("length_std", require_all(std > 0.0, std, "length_std", "a positive number"))
         std = np.asarray(self.target_std, dtype=np.float64)
         std = np.broadcast_to(std, targets.shape) if std.shape == (3,) else std
-        std = broadcast("target_std", std, targets.shape)
-        self._store("target_std", require(std >= 0.0, std, "target_std", "zero or more"))
+        std = finite_broadcast("target_std", std, targets.shape)
+        self._store("target_std", require_all(std >= 0.0, std, "target_std", "zero or more"))
         self._store_numbers("order", "segment")
         if self.moved is not None:
-            moved = matrix("moved", self.moved)
+            moved = finite_matrix("moved", self.moved)
             if moved.shape != (len(self.position), 3):
                 raise DataError(f"moved has shape {moved.shape}, one row per length is expected")
             self._store("moved", moved)
@@ -201,7 +203,7 @@ class LengthProblem:
         """Check and freeze columns (k,) of whole numbers that may be absent."""
         for name in names:
             if (values := getattr(self, name)) is not None:
-                self._store(name, indices(name, values, _LATEST, len(self.position)))
+                self._store(name, valid_indices(name, values, _LATEST, len(self.position)))
 
     def _require_known(self, name: str, known: tuple[str, ...]) -> None:
         if getattr(self, name) not in known:
@@ -301,10 +303,10 @@ class TracerProblem(LengthProblem):
         self._store_numbers("again", "run")
         self._check_ties()
         if self.speed is not None:
-            speed = self._store("speed", vector("speed", self.speed, len(self.position)))
-            require(speed != 0.0, speed, "speed", "a table that turns")
+            speed = self._store("speed", finite_vector("speed", self.speed, len(self.position)))
+            require_all(speed != 0.0, speed, "speed", "a table that turns")
         if self.start_stations is not None:
-            start = matrix("start_stations", self.start_stations)
+            start = finite_matrix("start_stations", self.start_stations)
             if len(start) != len(self.table_angles):
                 raise DataError(
                     f"start_stations has shape {start.shape}, one row per table angle "
@@ -480,7 +482,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Absent:
+class UnplacedRows:
     """Why lengths have no place on a grid, by row of the problem.
 
     ``repeated``: identical repetitions. ``unfit``: they contradict the triangle inequality, or
@@ -514,13 +516,15 @@ def _strips(problem: LengthProblem) -> _Strips:
     return _Strips(strips[:, 0], strips[:, 1], of_row.ravel())
 
 
-def arrange(problem: LengthProblem, without: Collection[int] = ()) -> tuple[Grid, Absent]:
+def arrange_grid(
+    problem: LengthProblem, without: Collection[int] = ()
+) -> tuple[Grid, UnplacedRows]:
     """Return the grid of ``problem``, and what has no place on it; some rows are left out.
 
     Raises DataError for contradictory repetitions and for lengths that seem to be in another unit
     than the targets.
     """
-    absent = Absent({}, {}, {})
+    absent = UnplacedRows({}, {}, {})
     strips = _strips(problem)
     row = _place_rows(problem, strips, absent.repeated)
     row[np.isin(row, list(without))] = -1
@@ -627,7 +631,9 @@ def _check_unit_of_lengths(excess: Floats, span: float) -> None:
         )
 
 
-def _drop_undetermined(problem: LengthProblem, row: Ints, strips: _Strips, absent: Absent) -> None:
+def _drop_undetermined(
+    problem: LengthProblem, row: Ints, strips: _Strips, absent: UnplacedRows
+) -> None:
     """Drop targets, then stations, that too few lengths reach; again until nothing changes.
 
     A length that no other shares its segment with says nothing of its station.

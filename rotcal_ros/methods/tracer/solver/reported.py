@@ -24,9 +24,9 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 
 from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.fit import Fit, fit_model
 from rotcal_ros.adjust.model import Model
-from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.adjust.observable import observe_columns
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.units import MICROMETRE
@@ -42,7 +42,7 @@ UNNOTICED: Final = 0.01
 """Shift of a target, in standard deviations of a length, that does not matter."""
 
 
-class Solved(Protocol):
+class SolvedLengths(Protocol):
     """A solution of lengths."""
 
     @property
@@ -50,11 +50,11 @@ class Solved(Protocol):
         """What the engine found."""
 
 
-S = TypeVar("S", bound=Solved)
+S = TypeVar("S", bound=SolvedLengths)
 
 
 @dataclass(frozen=True, slots=True)
-class Reported:
+class ReportedPlaceWeight:
     """The ``weight`` of the reported places, 0 to 1, with its standard deviation ``std``.
 
     ``along``: by how much the reports of one target scatter along the beams, m (standard
@@ -106,19 +106,19 @@ def along_beams(lengths: CarriedLengths, moved: Floats | None) -> Floats | None:
     return np.asarray((lengths.toward * moved[lengths.row]).sum(axis=1))
 
 
-def nearest(model: Model, along: Floats) -> float:
+def nearest_weight(model: Model, along: Floats) -> float:
     """Return 0 or 1, the nearest to what all lengths follow of what is reported ``along`` (k,).
 
     ``model``: of the lengths as they were read.
     """
     every = np.ones(model.size[0], dtype=np.bool_)
-    return float(_slope(fitted(model, every, model.std, model.first), along)[0] > 0.5)
+    return float(_slope(fit_model(model, every, model.std, model.first), along)[0] > 0.5)
 
 
-def weighed(
+def weigh_reported_places(
     solution: S, weight: float, lengths: CarriedLengths, along: Floats | None,
     again: Callable[[float, float], S],
-) -> tuple[S, Reported | None]:  # fmt: skip
+) -> tuple[S, ReportedPlaceWeight | None]:  # fmt: skip
     """Return the solution with the weight that the lengths give what is reported, and that.
 
     ``solution``: with a ``weight``. By one more column; it is solved ``again``, with a weight and
@@ -131,7 +131,7 @@ def weighed(
     scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
     beyond, information = _slope(fit, along)
     if not information or fit.dof < 2:
-        return solution, Reported(weight, 0.0, scatter, 0.0)
+        return solution, ReportedPlaceWeight(weight, 0.0, scatter, 0.0)
     squares = max(fit.chi2 - information * beyond**2, 0.0) / (fit.dof - 1)
     std = sqrt(max(squares, NOISELESS) / information)
     best = weight + beyond
@@ -148,24 +148,24 @@ def weighed(
         spoiled = 0.0 < share < 1.0 and abs(best - 1.0 + share) < CONSISTENT * std
         spoils = excess if spoiled else 0.0
         if unmoved is None or _excess(unmoved, lengths) >= spoils:
-            return believed, Reported(1.0, std, scatter, 0.0, spoils=spoils)
+            return believed, ReportedPlaceWeight(1.0, std, scatter, 0.0, spoils=spoils)
     if unmoved is not None:
-        return unmoved, Reported(0.0, std, scatter, 0.0)
+        return unmoved, ReportedPlaceWeight(0.0, std, scatter, 0.0)
     best = min(max(best, 0.0), 1.0)
     left = scatter * sqrt(best * (1.0 - best) + std**2)
-    return again(best, left), Reported(best, std, scatter, left, estimated=True)
+    return again(best, left), ReportedPlaceWeight(best, std, scatter, left, estimated=True)
 
 
 def _slope(fit: Fit, along: Floats) -> tuple[float, float]:
     """Return how much more of the reported moves the lengths follow, and its information."""
-    seen = observable_by(fit, np.pad(along, (0, fit.model.size[0] - len(along)))[:, None])
+    seen = observe_columns(fit, np.pad(along, (0, fit.model.size[0] - len(along)))[:, None])
     information = float(seen.information[0, 0])
     if information <= 1e-9 * float(seen.whole[0]):
         return 0.0, 0.0
     return float(seen.score[0]) / information, information
 
 
-def _excess(solution: Solved, lengths: CarriedLengths) -> float:
+def _excess(solution: SolvedLengths, lengths: CarriedLengths) -> float:
     """Return what lengths scatter beyond their statement, m; 0 where they do not contradict it."""
     noise, limits = solution.found.diagnosis.noise, solution.found.diagnosis.limits
     factor = float(noise.factors[0])

@@ -30,7 +30,7 @@ ALONG_ITS_CIRCLE: Final = noted(
 )
 
 
-def of_all_rows(
+def expand_to_all_rows(
     result: Result, problem: LengthProblem, lengths: CarriedLengths, absent: dict[int, Phrase]
 ) -> Result:
     """Return the ``result`` of ``lengths`` as one of all rows of their ``problem``.
@@ -64,7 +64,7 @@ def of_all_rows(
     )
 
 
-def corrections(found: Adjusted, lengths: CarriedLengths) -> dict[str, Floats]:
+def target_corrections(found: Adjusted, lengths: CarriedLengths) -> dict[str, Floats]:
     """Return by what the targets were corrected, (n, 3), m, and how well that is known."""
     fit = found.fit
     rows = np.eye(lengths.blocks["target"], len(fit.x), lengths.first["target"])
@@ -75,7 +75,7 @@ def corrections(found: Adjusted, lengths: CarriedLengths) -> dict[str, Floats]:
     return {"target_corrections": moved, "target_corrections_std": std.reshape(-1, 3)}
 
 
-def segments_of(
+def segment_details(
     found: Adjusted, lengths: CarriedLengths, grid: Grid, place_ids: Ints | None = None
 ) -> list[dict[str, Any]]:
     """Return one entry per unbroken beam, in the order of time.

@@ -11,19 +11,19 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array, hstack, kron
+from scipy.sparse import csr_array, hstack, identity, kron
 from scipy.special import ndtr
 
-from rotcal_ros.adjust.bordered import FewEach
-from rotcal_ros.adjust.causes import started
-from rotcal_ros.adjust.effects import limit_of_family
+from rotcal_ros.adjust.bordered import SparseDesign
+from rotcal_ros.adjust.causes import start_diagnosis
+from rotcal_ros.adjust.effects import family_limit
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
-from rotcal_ros.adjust.fit import Fit, fitted
-from rotcal_ros.adjust.look import Look
-from rotcal_ros.adjust.mapped import replaced
+from rotcal_ros.adjust.fit import Fit, fit_model
+from rotcal_ros.adjust.look import SolutionView
+from rotcal_ros.adjust.mapped import with_outputs_of_map
 from rotcal_ros.adjust.model import CurveModel
-from rotcal_ros.adjust.observable import family_observable_by
+from rotcal_ros.adjust.observable import observe_family
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.compact import CompactCovariance, Spread, written
@@ -52,13 +52,25 @@ from rotcal_ros.methods.tracer.solver.posed import (
     FREE_CIRCLE,
     ROUND,
     STATED_CIRCLE,
-    Posed,
-    Supposed,
+    AssumedParameters,
+    PosedProblem,
 )
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
-from rotcal_ros.methods.tracer.solver.reported import Reported, nearest, weighed
-from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
-from rotcal_ros.methods.tracer.solver.turning import InTime, Runs, in_time, other_motion
+from rotcal_ros.methods.tracer.solver.reported import (
+    ReportedPlaceWeight,
+    nearest_weight,
+    weigh_reported_places,
+)
+from rotcal_ros.methods.tracer.solver.station_by_station import (
+    distances_and_directions,
+    locate_stations,
+)
+from rotcal_ros.methods.tracer.solver.turning import (
+    TimeCorrelatedLengths,
+    TurningRuns,
+    in_time,
+    scatter_beside_low_orders,
+)
 
 SLIPS_FOUND: Final = noted(
     "{0} is found in {1:.0f} % of the cases, by these lengths in this order; the uncertainty "
@@ -121,14 +133,14 @@ class TracerSolution:
     arrays of stations follow ``positions``.
     """
 
-    posed: Posed
+    posed: PosedProblem
     found: Adjusted
-    supposed: Supposed
+    supposed: AssumedParameters
     contradicted: float | None = None
     printed: Floats | None = None
     slips: UnseenSlips | None = None
-    reported: Reported | None = None
-    in_time: InTime | None = None
+    reported: ReportedPlaceWeight | None = None
+    in_time: TimeCorrelatedLengths | None = None
 
     @property
     def problem(self) -> TracerProblem:
@@ -293,10 +305,12 @@ def adjust(problem: TracerProblem) -> TracerSolution:
 
 
 def _adjusted(problem: TracerProblem) -> TracerSolution:
-    posed = Posed.of(problem)
+    posed = PosedProblem.of(problem)
     walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
-    begin, along = Supposed(walk=walk, weight=0.0), posed.moved
-    begin = replace(begin, weight=1.0 if along is None else nearest(posed.model(begin), along))
+    begin, along = AssumedParameters(walk=walk, weight=0.0), posed.moved
+    begin = replace(
+        begin, weight=1.0 if along is None else nearest_weight(posed.model(begin), along)
+    )
     solution = _first(posed, begin)
     for _ in range(MOST_STEPS):
         if solution.lean < LEAN:
@@ -325,12 +339,14 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
     return solution
 
 
-def _first(posed: Posed, supposed: Supposed) -> TracerSolution:
+def _first(posed: PosedProblem, supposed: AssumedParameters) -> TracerSolution:
     found, noise = _solved(posed, supposed)
     return TracerSolution(posed, found, supposed, in_time=noise)
 
 
-def _solved(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
+def _solved(
+    posed: PosedProblem, supposed: AssumedParameters
+) -> tuple[Adjusted, TimeCorrelatedLengths | None]:
     model, limits = posed.model(supposed), limits_of(posed.problem.settings)
     if posed.lengths.speed is not None:
         return _turned(posed, supposed)
@@ -340,21 +356,25 @@ def _solved(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
         loose = near.model(supposed)
         every = np.ones(loose.size[0], dtype=np.bool_)
         missed = np.abs(loose.observed - loose.equations(loose.first)[0])
-        model = replace(model, start=fitted(loose, every, loose.std + missed, loose.first).x)
+        model = replace(model, start=fit_model(loose, every, loose.std + missed, loose.first).x)
     return adjusted(model, limits), None
 
 
-def _turned(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
+def _turned(
+    posed: PosedProblem, supposed: AssumedParameters
+) -> tuple[Adjusted, TimeCorrelatedLengths | None]:
     """Return the solution of a table that turned, with the noise in time that a first one shows.
 
     That takes readings to be independent, and places to be free across their circle.
     """
     model, limits = posed.model(supposed), limits_of(posed.problem.settings)
-    first, lengths = started(model, limits), posed.lengths_of(supposed)
+    first, lengths = start_diagnosis(model, limits), posed.lengths_of(supposed)
     if posed.motion is None:
         rows = np.flatnonzero(model.of_component == model.components.index(ERROR_MOTION))[0::2]
-        runs = Runs.of(lengths)
-        other = max(other_motion(runs, lengths.angles, first.fit.residual[rows]), ROUND)
+        runs = TurningRuns.of(lengths)
+        other = max(
+            scatter_beside_low_orders(runs, lengths.angles, first.fit.residual[rows]), ROUND
+        )
         model = posed.model(replace(supposed, other=(other, other)))
         first = replace(first, model=model, start=first.fit.x).as_likely
     return in_time(first, lengths, posed.problem.earlier[lengths.row], limits)
@@ -367,11 +387,13 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
     def again(weight: float, left: float) -> TracerSolution:
         return _again(solution, replace(begin, weight=weight, left=left))
 
-    found, reported = weighed(solution, begin.weight, posed.lengths, posed.moved, again)
+    found, reported = weigh_reported_places(
+        solution, begin.weight, posed.lengths, posed.moved, again
+    )
     return replace(found, reported=reported)
 
 
-def _again(solution: TracerSolution, supposed: Supposed) -> TracerSolution:
+def _again(solution: TracerSolution, supposed: AssumedParameters) -> TracerSolution:
     found, noise = _solved(solution.posed, supposed)
     return replace(solution, found=found, supposed=supposed, in_time=noise)
 
@@ -428,8 +450,8 @@ def unseen_slips(
     steps = steps[:, :: max(1, -(-steps.shape[1] // CANDIDATES))]
     if not steps.shape[1]:
         return None
-    seen = family_observable_by(fit, steps)
-    limit = limit_of_family(problem.settings.rejection_significance, seen.alike)
+    seen = observe_family(fit, steps)
+    limit = family_limit(problem.settings.rejection_significance, seen.alike)
     apart = problem.slip * np.sqrt(np.maximum(seen.information[:, 0, 0], 0.0)) / scale
     missed = 1.0 - ndtr(apart - limit)
     moved = problem.slip * seen.moved[:]
@@ -460,7 +482,7 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
     start = np.column_stack([solution.stations, solution.distances])
     weights = np.zeros(used.shape)
     weights[strip, lengths.target] = fit.used[:k] / _variance(posed, fit, start)
-    _, unit = ranges(start[:, :3], grid.targets)
+    _, unit = distances_and_directions(start[:, :3], grid.targets)
     rows = np.concatenate([unit, -np.ones((*used.shape, 1))], axis=2)
     check_station_rank(rows * used[:, :, None], grid.position_ids)
     state, settled = locate_stations(grid.targets, length, weights, start)
@@ -473,12 +495,12 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
         own = slice(found.model.size[1], len(fit.x))
         felt = felt.fixed(np.hstack(taken), fit.gain(own) / fit.std)
     white = felt.weighted(np.where(fit.used, fit.std, 0.0))
-    other = replaced(found, here.motion.cumulative, white, np.zeros(len(white)))
-    judged = Look(found.diagnosis, other.fit).diagnosis
+    other = with_outputs_of_map(found, here.motion.cumulative, white, np.zeros(len(white)))
+    judged = SolutionView(found.diagnosis, other.fit).diagnosis
     return replace(here, found=Adjusted(judged, other.fit))
 
 
-def ecc_of_stations(posed: Posed, fit: Fit, state: Floats) -> Floats:
+def ecc_of_stations(posed: PosedProblem, fit: Fit, state: Floats) -> Floats:
     """Return the covariance (m, m) of ECC by the paper's equations, at stations (m, 4), rad^2."""
     stations = state[:, :3]
     slopes = from_first(bearing_slopes(stations, table_motion(stations, posed.lengths.angles)))
@@ -486,16 +508,16 @@ def ecc_of_stations(posed: Posed, fit: Fit, state: Floats) -> Floats:
     return white.products()
 
 
-def _variance(posed: Posed, fit: Fit, state: Floats) -> Floats:
+def _variance(posed: PosedProblem, fit: Fit, state: Floats) -> Floats:
     """Return the variances (k,) of lengths to targets that are taken as known, m^2."""
     lengths, k = posed.lengths, len(posed.lengths.row)
-    _, unit = ranges(state[:, :3], posed.grid.targets)
+    _, unit = distances_and_directions(state[:, :3], posed.grid.targets)
     beam = unit[lengths.position, lengths.target]
     target = (beam**2 * posed.grid.target_std[lengths.target] ** 2).sum(axis=1)
     return np.asarray(fit.std[:k] ** 2 + target)
 
 
-def _gains(posed: Posed, fit: Fit, state: Floats) -> csr_array:
+def _gains(posed: PosedProblem, fit: Fit, state: Floats) -> csr_array:
     """Return by how much stations (m, 4) are off for errors of all observations, (3 m, n).
 
     Of what is stated beside the lengths: a target's coordinate that is off makes its lengths so;
@@ -503,7 +525,7 @@ def _gains(posed: Posed, fit: Fit, state: Floats) -> csr_array:
     """
     lengths, m = posed.lengths, len(state)
     k = len(lengths.row)
-    _, unit = ranges(state[:, :3], posed.grid.targets)
+    _, unit = distances_and_directions(state[:, :3], posed.grid.targets)
     beam = unit[lengths.position, lengths.target]
     rows = np.column_stack([beam, -np.ones(k)])
     weight = fit.used[:k] / _variance(posed, fit, state)
@@ -512,7 +534,9 @@ def _gains(posed: Posed, fit: Fit, state: Floats) -> csr_array:
     own = np.einsum("kab,kb->ka", np.linalg.inv(normal)[lengths.position], rows * weight[:, None])
     design, begin = fit.model.linearised(fit.x[: fit.model.size[1]])[1], lengths.first["target"]
     few = (
-        design.few[k:] if isinstance(design, FewEach) else design.rows(np.arange(k, len(fit.std)))
+        design.few[k:]
+        if isinstance(design, SparseDesign)
+        else design.rows(np.arange(k, len(fit.std)))
     )
     known, axis = csr_array(few), np.arange(3)
     coordinate = 3 * lengths.position[:, None] + axis
@@ -521,7 +545,7 @@ def _gains(posed: Posed, fit: Fit, state: Floats) -> csr_array:
     by_length = csr_array((own[:, :3].ravel(), (row[0], column[0])), shape=(3 * m, k))
     each = (own[:, :3, None] * beam[:, None]).ravel(), (row[1], column[1])
     by_target = csr_array(each, shape=(3 * m, posed.grid.targets.size))
-    moves = kron(eye_array(m), lengths.axes, format="csr")
+    moves = kron(identity(m), lengths.axes, format="csr")
     of_known = by_target @ known[:, begin : begin + posed.grid.targets.size].T
     return csr_array(hstack([by_length, of_known + moves @ known[:, : 3 * m].T], format="csr"))
 
@@ -544,8 +568,8 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
         joint = replace(problem, variant="joint")
         # as many lengths as a circle asks for: the error motion ties stations to theirs
         few = replace(joint, circle_std=problem.circle_std or FREE_CIRCLE)
-        posed = replace(Posed.of(few, alone=False), problem=joint)
-        supposed = Supposed(walk=problem.zero_walk_std or 0.0)
+        posed = replace(PosedProblem.of(few, alone=False), problem=joint)
+        supposed = AssumedParameters(walk=problem.zero_walk_std or 0.0)
     model = posed.model(supposed)
     m, begin = len(posed.lengths.angles), posed.lengths.first["turn"]
     model = replace(model, outputs=np.zeros((0, model.size[1])))

@@ -24,8 +24,12 @@ from rotcal_ros.foundation.results import (
 )
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import LAG, LATER_RUN
-from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
-from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
+from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, printed_scatter
+from rotcal_ros.methods.tracer.solver.observability import (
+    Numbering,
+    rotation_about_z_between,
+    weakest_direction,
+)
 from rotcal_ros.methods.tracer.solver.posed import (
     ALONG_AXIS,
     ERROR_MOTION,
@@ -33,13 +37,13 @@ from rotcal_ros.methods.tracer.solver.posed import (
 )
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
 from rotcal_ros.methods.tracer.solver.reporting import (
-    corrections,
-    of_all_rows,
-    segments_of,
+    expand_to_all_rows,
+    segment_details,
     tangential_protection,
+    target_corrections,
 )
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
-from rotcal_ros.methods.tracer.solver.turning import Runs
+from rotcal_ros.methods.tracer.solver.turning import TurningRuns
 
 CIRCLE_SHOWS: Final = noted(
     "{0:.2g} m from {1} residuals of the circle, which show its radial part; the tangential part "
@@ -118,7 +122,7 @@ def result_of(solution: TracerSolution) -> Result:
     if problem.run is not None:
         plain = replace(plain, raw_data=RawData())
     steps = np.arange(len(angles) - 1)
-    every = of_all_rows(
+    every = expand_to_all_rows(
         replace(plain, residuals=residuals), problem, lengths, absent.repeated | absent.unfit
     )
     return replace(
@@ -141,7 +145,9 @@ def result_of(solution: TracerSolution) -> Result:
 def _numbering(solution: TracerSolution) -> Numbering:
     """Return how the stations stand to the start values that a plan or a person has stated."""
     stated, stations = solution.problem.start_stations, solution.stations
-    bearing = None if stated is None else turned_by(stations, stated[solution.positions])
+    bearing = (
+        None if stated is None else rotation_about_z_between(stations, stated[solution.positions])
+    )
     return Numbering.of("plan.tracer_m", solution.table_angles, solution.motion.radius, bearing)
 
 
@@ -232,7 +238,7 @@ def _remarks(solution: TracerSolution) -> Iterator[Phrase]:
 
 def _remarks_of_turns(solution: TracerSolution) -> Iterator[Phrase]:
     """Yield what a table that turned leaves open, and how its noise hangs together in time."""
-    speeds = Runs.of(solution.lengths).speed
+    speeds = TurningRuns.of(solution.lengths).speed
     if solution.problem.lag is None and len(speeds) == 2 and speeds.prod() < 0.0:
         yield phrase(
             "the mean reversal is zero by definition: at one speed and back nothing tells it from "
@@ -261,7 +267,7 @@ def _of_turns(solution: TracerSolution) -> dict[str, Any]:
     noise = [] if solution.in_time is None else solution.in_time.noise
     return {
         "turning": {
-            "speeds": Runs.of(lengths).speed,
+            "speeds": TurningRuns.of(lengths).speed,
             "lag": float(fit.x[lengths.first[LAG]]),
             "lag_std": solution.found.scale * float(np.sqrt(variance)),
             "autoregression": [each.ahead[-1] for each in noise],
@@ -333,7 +339,7 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         ],
         "target_ids": grid.target_ids,
         "targets": solution.targets,
-        **({} if solution.printed is not None else corrections(found, solution.lengths)),
+        **({} if solution.printed is not None else target_corrections(found, solution.lengths)),
         "unknowns": found.model.size[1],
         "rank": fit.kernel.rank,
         "weakest": {"station": int(solution.positions[weak]), "direction": direction, "std": std},
@@ -360,7 +366,7 @@ def circle_details(motion: TableMotion, stations: Floats, angles: Floats) -> dic
         "axial": motion.plane.distances(stations),
         "tilt": motion.tilt,
         "algorithm_error": algorithm_error(np.diff(angles), motion.tilt),
-        "scatter": scatter(motion.adjacent),
+        "scatter": printed_scatter(motion.adjacent),
     }
 
 
@@ -370,7 +376,7 @@ def _zeros(solution: TracerSolution) -> dict[str, Any]:
         return {}
     slips = solution.slips
     return {
-        "segments": segments_of(solution.found, solution.lengths, solution.grid),
+        "segments": segment_details(solution.found, solution.lengths, solution.grid),
         "zero_walk_std": solution.supposed.walk,
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
     }

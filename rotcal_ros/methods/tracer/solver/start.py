@@ -22,7 +22,10 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
-from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
+from rotcal_ros.methods.tracer.solver.station_by_station import (
+    distances_and_directions,
+    locate_stations,
+)
 
 NEARLY_FLAT: Final = 3e-3
 """Ratio of singular values below which the linear solution alone is not trusted."""
@@ -107,7 +110,7 @@ def find_start(grid: Grid, given: Floats | None) -> tuple[Floats, bool]:
     whose chi-squared differs by less than chance are mirror images, and the lower one is taken.
     """
     if given is not None:
-        distance, _ = ranges(given, grid.targets)
+        distance, _ = distances_and_directions(given, grid.targets)
         zero = (grid.used * (distance - grid.length)).sum(axis=1) / grid.used.sum(axis=1)
         return np.column_stack([given, zero]), False
     candidates = start_candidates(grid.targets, grid.length, grid.used)
@@ -149,7 +152,9 @@ def _unbent(grid: Grid, state: Floats) -> Floats:
     """
     spare = grid.used.sum(axis=1) > STATION_MINIMUM
     for _ in range(UNBENDING):
-        miss = np.abs(ranges(state[:, :3], grid.targets)[0] - state[:, 3:] - grid.length)
+        miss = np.abs(
+            distances_and_directions(state[:, :3], grid.targets)[0] - state[:, 3:] - grid.length
+        )
         bent = spare & ((miss * grid.used).max(axis=1) > GROSS)
         if not bent.any():
             break
@@ -175,12 +180,12 @@ def _find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tupl
             given = _unbent(fullest, state)[:, :3]
         else:
             given, ambiguous = _on_circle(grid, angles)
-    return with_zeros(grid, given[grid.station]), ambiguous
+    return fit_zeros(grid, given[grid.station]), ambiguous
 
 
-def with_zeros(grid: Grid, standing: Floats) -> Floats:
+def fit_zeros(grid: Grid, standing: Floats) -> Floats:
     """Return the state (p, 4) of strips that are ``standing`` (p, 3) there, zeros as they fit."""
-    distance, _ = ranges(standing, grid.targets)
+    distance, _ = distances_and_directions(standing, grid.targets)
     zero = grid.station if grid.zero is None else grid.zero
     weight = np.bincount(zero, weights=grid.weights.sum(axis=1))
     total = np.bincount(zero, weights=(grid.weights * (distance - grid.length)).sum(axis=1))

@@ -1,11 +1,11 @@
 """The laser tracer paper's own way: each station by itself, its targets taken as known.
 
 Section 3.1 (Eq. 5-17): a station has four unknowns (X, Y, Z, d). All are solved at once, by
-undamped Gauss-Newton steps as long as these contract (:func:`contract`), else by damped ones
-(:func:`locate_damped`). The paper damps all steps and searches along each (Eq. 8-17, by
-Levenberg and Marquardt); from a fair start undamped steps converge quadratically, and the minimum
-is the same. The normal equations lose digits of a step, not of the answer: that is where the
-gradient of the residuals vanishes, which each step works out anew in full precision.
+undamped Gauss-Newton steps as long as these contract (:func:`locate_by_contraction`), else by
+damped ones (:func:`locate_damped`). The paper damps all steps and searches along each (Eq. 8-17,
+by Levenberg and Marquardt); from a fair start undamped steps converge quadratically, and the
+minimum is the same. The normal equations lose digits of a step, not of the answer: that is where
+the gradient of the residuals vanishes, which each step works out anew in full precision.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAX_STEPS: Final = 12
 """Undamped steps after which a station is left to the damped ones."""
 
 
-def ranges(stations: Floats, targets: Floats) -> tuple[Floats, Floats]:
+def distances_and_directions(stations: Floats, targets: Floats) -> tuple[Floats, Floats]:
     """Return distances (m, n) and unit vectors (m, n, 3) from ``targets`` to ``stations``."""
     difference = stations[:, None, :] - targets
     distance = np.sqrt(np.einsum("jia,jia->ji", difference, difference))
@@ -47,7 +47,7 @@ def locate_stations(
     ``targets`` (n, 3), ``length`` and ``weights`` (m, n; weight zero for a missing length),
     ``start`` (m, 4), in metres.
     """
-    state, settled = contract(targets, length, weights, start)
+    state, settled = locate_by_contraction(targets, length, weights, start)
     if not settled.all():
         rest = ~settled
         state, parts = state.copy(), (length[rest], weights[rest], start[rest])
@@ -83,7 +83,7 @@ def locate_damped(
         if not active.any():
             break
         damping = np.maximum(np.where(falls, 0.1, 10.0) * damping, floor)
-    polished, contracts = contract(targets, length, weights, state)
+    polished, contracts = locate_by_contraction(targets, length, weights, state)
     return np.where(contracts[:, None], polished, state), ~active
 
 
@@ -112,7 +112,7 @@ class Misfit:
         return np.asarray(self._rows.transpose(1, 0, 2) @ self._rows.transpose(1, 2, 0))
 
 
-def contract(
+def locate_by_contraction(
     targets: Floats, length: Floats, weights: Floats, start: Floats
 ) -> tuple[Floats, Bools]:
     """Return (X, Y, Z, d) of all stations (m, 4), and for which of them (m,) the steps contract.

@@ -32,7 +32,7 @@ from rotcal_ros.methods.tracer.solver.circle import (
     check_sense,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, with_motion
+from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, with_error_motion
 from rotcal_ros.methods.tracer.solver.reporting import tangential_protection
 from rotcal_ros.methods.tracer.solver.solve import (
     METHOD,
@@ -160,7 +160,7 @@ def model_of(
     turning = np.zeros((2 * m, 2 * m))
     turning[each, column], turning[m + each, column] = across, along
     motions = csr_array(np.eye(2 * m, design.shape[1], m + 3))
-    return with_motion(model, ERROR_MOTION, motions, stated, angles, csr_array(turning))
+    return with_error_motion(model, ERROR_MOTION, motions, stated, angles, csr_array(turning))
 
 
 def _error_motion(motion: TableMotion, solved: Adjusted, stated: float | None) -> ErrorMotion:

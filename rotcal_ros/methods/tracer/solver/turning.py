@@ -30,9 +30,9 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import solve_banded, solve_toeplitz
-from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
+from scipy.sparse import block_diag, csr_array, hstack, identity, kron
 
-from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.bordered import SparseDesign
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.engine import adjust as adjusted
@@ -62,7 +62,7 @@ GROSS: Final = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Runs:
+class TurningRuns:
     """Which run each position of a table that turns is passed in, and when.
 
     ``number`` (m,): of the run; ``place`` (m,): how many positions of it were passed before;
@@ -74,7 +74,7 @@ class Runs:
     speed: Floats
 
     @classmethod
-    def of(cls, lengths: CarriedLengths) -> Runs:
+    def of(cls, lengths: CarriedLengths) -> TurningRuns:
         """Return the runs of ``lengths``, by the speed at which each position was passed."""
         assert lengths.speed is not None
         at = np.zeros(len(lengths.angles))
@@ -135,7 +135,7 @@ class NoiseInTime:
 
 
 @dataclass(frozen=True, eq=False)
-class InTime:
+class TimeCorrelatedLengths:
     """A table's ``lengths`` beside the ``noise`` (r) of its ``runs``, about the unknowns ``x``.
 
     ``series`` (k,): which lengths are of one target, of those that were measured as often before.
@@ -143,17 +143,17 @@ class InTime:
 
     lengths: CarriedLengths
     series: Ints
-    runs: Runs
+    runs: TurningRuns
     noise: tuple[NoiseInTime, ...]
     x: Floats
 
     @classmethod
-    def of(cls, lengths: CarriedLengths, again: Ints, fit: Fit) -> InTime:
+    def of(cls, lengths: CarriedLengths, again: Ints, fit: Fit) -> TimeCorrelatedLengths:
         """Return what the residuals of a ``fit`` of independent lengths show.
 
         ``again`` (k,): how often the pair of each was measured before.
         """
-        runs, k = Runs.of(lengths), len(lengths.row)
+        runs, k = TurningRuns.of(lengths), len(lengths.row)
         kinds = np.column_stack([again, lengths.place, lengths.target])
         number = np.unique(kinds, axis=0, return_inverse=True)[1].ravel()
         series = np.full((int(number.max()) + 1, len(lengths.angles)), np.nan)
@@ -234,7 +234,7 @@ class InTime:
             pick = csr_array((np.ones(count), mine, np.arange(count + 1)), shape=(count, m))
             every.append(pick.T @ hstack(back, format="csr") @ pick)
         whole = csr_array(sum(every[1:], every[0]))
-        rest = eye_array(self.lengths.size - self._own)
+        rest = identity(self.lengths.size - self._own)
         parts = [*(_kron(whole, ways) for ways in self._ways), rest]
         return csr_array(block_diag(parts, format="csr"))
 
@@ -251,11 +251,11 @@ class InTime:
     def model(self, model: Model) -> Model:
         """Return a ``model`` of independent lengths as one of these, about its solution."""
         computed, design = model.linearised(self.x)
-        assert isinstance(design, FewEach)
+        assert isinstance(design, SparseDesign)
         k, own, to = len(self.lengths.row), self._own, self.places
         news, slowly, grown = self._of_rows(design.few[:, :own], model.of_component)
         few = hstack([design.few[:, :own], slowly @ design.few[:, own:]], format="csr")
-        whole = FewEach(csr_array(few), design.known @ to)
+        whole = SparseDesign(csr_array(few), design.known @ to)
         x = self.x.copy()
         forward = [_kron(self.at_places, ways) for ways in self._ways]
         x[:own] = block_diag(forward, format="csr") @ x[:own]
@@ -290,7 +290,7 @@ class InTime:
         parts = []
         for rows in np.split(np.arange(k, n), np.flatnonzero(np.diff(component[k:n])) + 1):
             whole = local[rows].nnz and len(rows) % m == 0
-            parts.append(_kron(self.at_places, len(rows) // m) if whole else eye_array(len(rows)))
+            parts.append(_kron(self.at_places, len(rows) // m) if whole else identity(len(rows)))
         news, slowly = (csr_array(block_diag([w, *parts], format="csr")) for w in (own, slow))
         return news, slowly, grown
 
@@ -302,7 +302,7 @@ def _product(series: list[Floats], lag: int) -> float:
 
 def _kron(each: csr_array, ways: int) -> csr_array:
     """Return what does the same as ``each`` (m, m) to each of several ways of a position."""
-    return csr_array(kron(each, eye_array(ways), format="csr"))
+    return csr_array(kron(each, identity(ways), format="csr"))
 
 
 def _news(own: Ints, before: Ints, ahead: Floats, left: Floats) -> csr_array:
@@ -319,18 +319,18 @@ def _news(own: Ints, before: Ints, ahead: Floats, left: Floats) -> csr_array:
 
 def in_time(
     first: Diagnosis, lengths: CarriedLengths, again: Ints, limits: Limits
-) -> tuple[Adjusted, InTime | None]:
+) -> tuple[Adjusted, TimeCorrelatedLengths | None]:
     """Return the solution with the noise in time that a ``first`` one shows; None: there is none.
 
-    That takes readings to be independent. ``again`` as of :meth:`InTime.of`.
+    That takes readings to be independent. ``again`` as of :meth:`TimeCorrelatedLengths.of`.
     """
-    found = InTime.of(lengths, again, first.fit)
+    found = TimeCorrelatedLengths.of(lengths, again, first.fit)
     if found.independent:
         return adjusted(replace(first.model, start=first.fit.x), limits), None
     return adjusted(found.model(first.model), limits), found
 
 
-def with_motion(
+def with_unknown_motion(
     model: Model, lengths: CarriedLengths, spectra: Mapping[Spectrum, float], free: float
 ) -> Model:
     """Return the model whose MOTION scatters by a size that is not known.
@@ -366,7 +366,7 @@ def with_stated_motion(
     return model.with_prior(LOW_ORDERS, rows, np.zeros(len(std)), std)
 
 
-def other_motion(runs: Runs, angles: Floats, radial: Floats) -> float:
+def scatter_beside_low_orders(runs: TurningRuns, angles: Floats, radial: Floats) -> float:
     """Return how much places scatter across their circle beside low orders, m, in all runs alike.
 
     ``radial`` (m,): what is left of them at the ``angles`` (m,). One run alone holds its noise. A
@@ -386,14 +386,14 @@ def low_orders(spectra: Mapping[Spectrum, float]) -> Ints:
     return np.unique([order for spectrum in spectra for order in spectrum.orders])
 
 
-def moved(lengths: CarriedLengths, spectra: Mapping[Spectrum, float]) -> csr_array:
+def motion_design(lengths: CarriedLengths, spectra: Mapping[Spectrum, float]) -> csr_array:
     """Return by how much the MOTION moves the axis along x and y at each position, (2 m, p)."""
     phase = np.outer(lengths.angles, low_orders(spectra))
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
     return csr_array(csr_array(np.kron(waves, np.eye(2))) @ lengths.rows_of(MOTION))
 
 
-def of_one_table(
+def tie_runs_of_table(
     model: Model, lengths: CarriedLengths, lag: float | None, lag_std: float
 ) -> Model:
     """Return the model whose runs show one table: its mean reversal, or ``lag``, as it is known.
@@ -401,7 +401,7 @@ def of_one_table(
     Runs of one direction have the same mean. One speed and its reverse are held to have so, too,
     unless the lag is stated: nothing else tells them apart.
     """
-    runs, begin = Runs.of(lengths), lengths.first["turn"]
+    runs, begin = TurningRuns.of(lengths), lengths.first["turn"]
     each = len(lengths.turning)  # of which the last is about the axis
     mean = np.zeros((len(runs.speed), lengths.size))
     for number in range(len(runs.speed)):

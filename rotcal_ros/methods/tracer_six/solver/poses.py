@@ -19,7 +19,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import align, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM
-from rotcal_ros.methods.tracer.solver.start import fullest_strips, start_candidates, with_zeros
+from rotcal_ros.methods.tracer.solver.start import fit_zeros, fullest_strips, start_candidates
 from rotcal_ros.methods.tracer_six.solver.problem import (
     SixProblem,
     StationLayout,
@@ -150,7 +150,7 @@ def find_start(problem: SixProblem, layout: StationLayout) -> StartPoses:
         places = (weight / weight.sum(axis=1, keepdims=True)) @ back[:, 0]
     stands = (rotation[layout.position] @ places[layout.place][:, :, None])[:, :, 0]
     stands = stands + translation[layout.position]
-    zeros = with_zeros(grid, stands[grid.station])[grid.first_of_zero, 3]
+    zeros = fit_zeros(grid, stands[grid.station])[grid.first_of_zero, 3]
     return StartPoses(rotation, translation, places, zeros)
 
 

@@ -17,11 +17,11 @@ from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.methods.tracer.solver.problem import (
     Grid,
     LengthProblem,
-    arrange,
-    indices,
-    matrix,
-    require,
+    arrange_grid,
+    finite_matrix,
+    require_all,
     station_minimum,
+    valid_indices,
 )
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
 
@@ -86,9 +86,9 @@ class SixProblem(LengthProblem):
                 f"{len(self.table_angles)} table_angles"
             )
         std, k = self.target_std, len(self.position)
-        require(std > 0.0, std, "target_std", "a positive number")
-        places = self._store("places", matrix("places", self.places))
-        self._store("place", indices("place", self.place, len(places), k))
+        require_all(std > 0.0, std, "target_std", "a positive number")
+        places = self._store("places", finite_matrix("places", self.places))
+        self._store("place", valid_indices("place", self.place, len(places), k))
         self._store_numbers("arrival")
 
     @cached_property
@@ -170,7 +170,7 @@ def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, Phrase]]:
     _check_places(problem, np.unique(problem.place))
     why, poor = dict[int, Phrase](), dict[int, Phrase]()
     while True:
-        grid, absent = arrange(problem, poor)
+        grid, absent = arrange_grid(problem, poor)
         why |= absent.repeated | absent.unfit | absent.spare
         if not (more := _poor(problem, grid)):
             break

@@ -26,22 +26,22 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.closures import coming_again
+from rotcal_ros.adjust.closures import repeated_angles
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import fit_model
 from rotcal_ros.adjust.model import (
     CurveModel,
     Disturbing,
-    Expected,
     Grouping,
     KnownRelation,
     Model,
     Steps,
+    UnseenEventPrior,
     block_rows,
     drifts,
 )
-from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.adjust.observable import observe_columns
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
@@ -60,20 +60,25 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
     UM,
     WORDS,
     CarriedLengths,
-    taken,
+    order_taken,
 )
 from rotcal_ros.methods.tracer.solver.observability import (
     Numbering,
     limits_of,
-    or_prior,
+    prior_datum_advice,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.reported import Reported, along_beams, nearest, weighed
+from rotcal_ros.methods.tracer.solver.reported import (
+    ReportedPlaceWeight,
+    along_beams,
+    nearest_weight,
+    weigh_reported_places,
+)
 from rotcal_ros.methods.tracer.solver.reporting import (
-    corrections,
-    of_all_rows,
-    segments_of,
+    expand_to_all_rows,
+    segment_details,
     tangential_protection,
+    target_corrections,
 )
 from rotcal_ros.methods.tracer_six.solver.poses import (
     Curves,
@@ -111,12 +116,12 @@ def lengths_of(problem: SixProblem, layout: StationLayout, state: StartPoses) ->
     tell of.
     """
     curves, grid = table_curves(state.rotation, state.translation, layout.angles), layout.grid
-    strip, target, order = taken(grid.row, problem.measuring_order)
+    strip, target, order = order_taken(grid.row, problem.measuring_order)
     station, row = grid.station[strip], grid.row[strip, target]
     places = (state.places - curves.table_origin) @ curves.table_turn
     more = {}
     if problem.tilt_std is not None:
-        more["lean"] = lean_ways(places).shape[1]
+        more["lean"] = axis_lean_directions(places).shape[1]
     if not problem.scatter_translation_std == problem.scatter_rotation_std == 0.0:
         more[SCATTER] = 3 * len(layout.position)
     found = CarriedLengths(
@@ -143,7 +148,7 @@ def lengths_of(problem: SixProblem, layout: StationLayout, state: StartPoses) ->
     return replace(found, target_ways=ways, more=more)
 
 
-def lean_ways(places: Floats) -> Floats:
+def axis_lean_directions(places: Floats) -> Floats:
     """Return how the axis may lean (4, c), in the machine and in the table, m.
 
     Against the frames in which tilts are stated. Places in a line do not show how the table lies
@@ -202,7 +207,7 @@ def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
             "{0}, target {1}", problem.station_name(int(station[row])), int(target[row])
         ),
         shared=("place", "zero", "target", "lean"),
-        expected=[Expected(each, problem.slip, SLIPPED) for each in slips],
+        expected=[UnseenEventPrior(each, problem.slip, SLIPPED) for each in slips],
         closures=_closures(problem, layout),
     )
     for axis in range(0 if grid.free else 3):
@@ -212,7 +217,7 @@ def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
             phrase("the targets along {0}", "xyz"[axis]), rows, np.zeros(len(std)), std
         )
     if problem.tilt_std is not None:
-        lean = gauge_design(layout.angles)[0] @ lean_ways(lengths.places)
+        lean = gauge_design(layout.angles)[0] @ axis_lean_directions(lengths.places)
         tilts = [lengths.rows_of("turn", slice(axis, None, 3)) for axis in range(2)]
         rows = vstack(tilts, format="csr")
         rows = rows - np.concatenate([lean[::2], lean[1::2]]) @ lengths.rows_of("lean")
@@ -235,14 +240,16 @@ def _scattering(problem: SixProblem, lengths: CarriedLengths, model: Model) -> M
     elif shift is not None and turn is not None:
         size, possible = 1.0, [(1.0, [shift, turn])]
     elif shift or turn:  # beside what is stated of one the other is estimated
-        root = roots_of(shift or 0.0, turn or 0.0, arms).reshape(len(arms), 3, -1)
+        root = pose_covariance_root(shift or 0.0, turn or 0.0, arms).reshape(len(arms), 3, -1)
         felt = -(lengths.toward[:, None] @ root[lengths.station])[:, 0]
         model = model.with_unknowns(STATED, felt)
         rows = csr_array(block_rows(model.blocks, STATED))
         model = model.with_prior("the stated scatter", rows, np.zeros(arms.size), 1.0)
     if turn is None and shift is not None:
         _require_seen(lengths.places, radius)
-    ways = [(share, roots_of(along, about, arms)) for share, (along, about) in possible]
+    ways = [
+        (share, pose_covariance_root(along, about, arms)) for share, (along, about) in possible
+    ]
     rows = csr_array(block_rows(model.blocks, SCATTER))
     return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways, influence=FELT)
 
@@ -275,7 +282,7 @@ def _curves(lengths: CarriedLengths) -> Outputs:
     return Outputs.of(found)
 
 
-def roots_of(shift: float, turn: float, arms: Floats) -> Floats:
+def pose_covariance_root(shift: float, turn: float, arms: Floats) -> Floats:
     """Return the root (3 V, 3 V) of what a ``shift`` (m) and a ``turn`` (rad) do at ``arms``."""
     across = cross_matrix(arms)
     square = shift**2 * np.eye(3) + turn**2 * across @ across.swapaxes(1, 2)
@@ -320,7 +327,7 @@ def _closures(problem: SixProblem, layout: StationLayout) -> list[KnownRelation]
     """Return what should agree where the table came to an angle again, from the same side."""
     ids, m = layout.position_ids, len(layout.angles)
     found = []
-    for first, last in coming_again(
+    for first, last in repeated_angles(
         layout.angles, None if problem.upward is None else problem.upward[ids]
     ):
         for c, name in enumerate(COMPONENTS):
@@ -366,7 +373,7 @@ class SixSolution:
     lengths: CarriedLengths
     found: Adjusted
     absent: dict[int, Phrase]
-    reported: Reported | None = None
+    reported: ReportedPlaceWeight | None = None
 
     def part(self, block: str) -> Floats:
         """Return the solved unknowns of a block; of poses and points (k, 3)."""
@@ -429,14 +436,14 @@ def _adjusted(problem: SixProblem) -> SixSolution:
         try:
             found = adjusted(model_of(problem, layout, moved), limits_of(problem.settings))
         except ObservabilityError as error:
-            advice = f"{CURE}{or_prior(free=layout.grid.free)}"
+            advice = f"{CURE}{prior_datum_advice(free=layout.grid.free)}"
             raise ObservabilityError(f"{error}: {advice}") from None
         return SixSolution(problem, layout, moved, found, absent)
 
     weight = 1.0
     if along is not None:
-        weight = nearest(model_of(problem, layout, lengths), along)
-    solution, reported = weighed(solved(weight), weight, lengths, along, solved)
+        weight = nearest_weight(model_of(problem, layout, lengths), along)
+    solution, reported = weigh_reported_places(solved(weight), weight, lengths, along, solved)
     solution = replace(solution, reported=reported)
     _check_curves(solution, problem.settings.max_station_std)
     return solution
@@ -475,7 +482,7 @@ def result_of(solution: SixSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
     layout, lengths, problem = solution.layout, solution.lengths, solution.problem
     m, reported = len(layout.angles), solution.reported
-    numbering, upward = _numbering(solution), Upward.of(solution)
+    numbering, upward = _numbering(solution), SteepestBeams.of(solution)
     plain = solution.found.result(
         METHOD,
         layout.angles,
@@ -499,7 +506,7 @@ def result_of(solution: SixSolution) -> Result:
         parts = (named(part) if isinstance(part, Phrase) else part for part in text.parts)
         return phrase(text.template, *parts)
 
-    every = of_all_rows(plain, problem, lengths, solution.absent)
+    every = expand_to_all_rows(plain, problem, lengths, solution.absent)
     return replace(
         every,
         deviations=dict(zip(COMPONENTS, solution.deviations(), strict=True)),
@@ -597,12 +604,12 @@ def _returned(solution: SixSolution, radius: float) -> float | None:
         side = np.where(later, 0.5, 0.0)
         side[first[which[later]]] = -0.5
         if solution.found.found_effects:  # a drift that was taken off may be just that
-            fit = fitted(fit.model, fit.used, fit.std, fit.x)
+            fit = fit_model(fit.model, fit.used, fit.std, fit.x)
         arm = lengths.stands(lengths.start)[1] @ lengths.axes.T
         along = np.cross([0.0, 0.0, 1.0], arm) / np.hypot(arm[:, 0], arm[:, 1])[:, None]
         felt = -(lengths.toward * along).sum(axis=1) * side[lengths.station]
         felt = np.pad(felt, (0, len(fit.std)))
-        seen = observable_by(fit, felt[: len(fit.std), None])
+        seen = observe_columns(fit, felt[: len(fit.std), None])
         size = float(seen.score[0] / seen.information[0, 0])
         each.append((size, solution.found.scale / float(np.sqrt(seen.information[0, 0]))))
     return max((abs(e) + HALF_OF_95_PERCENT * u for e, u in each), default=None)
@@ -624,10 +631,12 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "place_ids": places,
         "places": solution.places,
         "zeros": lengths.zeros + solution.part("zero"),
-        "segments": [] if problem.segment is None else segments_of(found, lengths, grid, places),
+        "segments": []
+        if problem.segment is None
+        else segment_details(found, lengths, grid, places),
         "target_ids": grid.target_ids,
         "targets": solution.targets,
-        **corrections(found, lengths),
+        **target_corrections(found, lengths),
         "axis": {"origin": curves.origin, "direction": curves.axes[:, 2]},
         "coverage_factor": HALF_OF_95_PERCENT,
         "covariance_scale": found.scale,
@@ -641,7 +650,7 @@ def _used(solution: SixSolution) -> Bools:
 
 
 @dataclass(frozen=True, slots=True)
-class Upward:
+class SteepestBeams:
     """The elevations (rad, above the tracer along +z) of the steepest beams both ways.
 
     Targets and places typed in a frame whose z points into the table fit every length as well, and
@@ -653,7 +662,7 @@ class Upward:
     highest: float
 
     @classmethod
-    def of(cls, solution: SixSolution) -> Upward:
+    def of(cls, solution: SixSolution) -> SteepestBeams:
         """Return that of all lengths that were used, in the stated frame."""
         lengths = solution.lengths
         beam = solution.targets[lengths.target] - lengths.stands(solution.found.fit.x)[0]
