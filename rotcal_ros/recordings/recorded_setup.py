@@ -30,7 +30,7 @@ from rotcal_ros.methods.configuration import (
     read_subject,
 )
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
+from rotcal_ros.planning.choices import AS_LISTED, PolicyProgress, StepChoice, StepOutcome
 from rotcal_ros.recordings.topics import Topics
 
 Decoders = dict[ChannelDefinition, Decoder]
@@ -171,14 +171,14 @@ class RecordedChoice:
     run: int
     number: int
     attempt: int
-    choice: Choice
+    choice: StepChoice
 
     @classmethod
     def of(cls, message: Any) -> RecordedChoice:
         """Return what a rotcal_msgs/StepChoice says."""
-        standing = Standing(message.left, message.uncertainty, message.goal)
+        standing = PolicyProgress(message.left, message.uncertainty, message.goal)
         step = None if message.stop else message.step
-        choice = Choice(
+        choice = StepChoice(
             step, coded_phrase(message.reason, getattr(message, "reason_code", None)), standing
         )
         return cls(message.run, message.number, message.attempt, choice)
@@ -254,6 +254,6 @@ def _outcome(
     return StepOutcome(step, max(accepted, key=lambda o: o.attempt, default=None))
 
 
-def _in_words(choice: Choice) -> str:
+def _in_words(choice: StepChoice) -> str:
     step = "to stop" if choice.step is None else f"step {choice.step}"
     return f"{step} ({choice.reason}; {choice.standing.left} left)"

@@ -135,7 +135,7 @@ def test_a_node_that_cannot_start_is_seen(monkeypatch):
     start_trial = pytest.importorskip("rotcal_ros.nodes.check.start_trial")
     monkeypatch.setattr(start_trial, "NODES", ("no_such_node",))
     with pytest.raises(start_trial.NodeError) as wrong:
-        start_trial.trial()
+        start_trial.start_and_end_all_nodes()
     assert str(wrong.value).startswith("no_such_node ended with 1: ")
     assert "No module named 'rotcal_ros.nodes.no_such_node'" in str(wrong.value)
 
@@ -176,7 +176,7 @@ def test_the_rate_is_tried_with_all_that_recorder_and_capture_do(tmp_path):
 def test_a_reading_that_is_missing_or_a_long_wait_is_told(came, written, longest_s, error, ok):
     rate_trial = pytest.importorskip("rotcal_ros.nodes.check.rate_trial")
     recording = SimpleNamespace(messages=written, finished=True, error=error)
-    found, text = rate_trial.verdict(5000, came, recording, longest_s)
+    found, text = rate_trial.rate_verdict(5000, came, recording, longest_s)
     assert found is ok
     assert text.startswith(f"{min(came, written)} of 5000 readings")
     assert f"the longest wait was {1000 * longest_s:.0f} ms" in text

@@ -21,7 +21,7 @@ from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.configuration import Configuration, replaced
 from rotcal_ros.methods.tracer.plan import LEAST_ANGLES
 from rotcal_ros.methods.tracer.policy.exchange import Progress
@@ -196,7 +196,7 @@ def _scene(configuration: Configuration, angles: Floats, offered: Floats) -> Sce
     """Return the stations at ``angles`` (m,) rad, the targets offered, and the stated noise."""
     solver = configuration.solver
     return Scene(
-        stations=on_table(configuration.simulation.tracer.mount_m, angles),
+        stations=positions_on_table(configuration.simulation.tracer.mount_m, angles),
         table_angles=angles,
         targets=offered,
         target_std=solver.target_std_m,

@@ -13,7 +13,7 @@ from rotcal_design.tracer.ordering import (
     most_missed,
     promised,
 )
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.policy.information import Scene
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
@@ -84,7 +84,7 @@ def posed(**options):
         [far * np.cos(around), far * np.sin(around), fixed.uniform(0.15, 0.7, 10)]
     )
     scene = Scene(
-        on_table((0.065, 0.0, 0.12), ANGLES), ANGLES, targets, np.array(1e-6), 2e-7,
+        positions_on_table((0.065, 0.0, 0.12), ANGLES), ANGLES, targets, np.array(1e-6), 2e-7,
         error_motion_std=options.get("error_motion_std"),
         circle_std=options.get("circle_std"),
     )  # fmt: skip

@@ -10,10 +10,10 @@ from rotcal_design.settings import TracerDesignSettings
 from rotcal_design.tracer.trade import tracer_trade
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.planning.sequence_time import stated_time
+from rotcal_ros.planning.sequence_time import constant_time_model
 
 M = 11
-PAPERS_TIME = stated_time(10.0, 5.0)
+PAPERS_TIME = constant_time_model(10.0, 5.0)
 GOAL = 1.202 * ARCSEC
 COARSE = TracerDesignSettings(
     need_arcsec=1.202, table_start_deg=-145.0, table_step_deg=30.0, table_positions=M,

@@ -46,7 +46,7 @@ from rotcal_ipp_dme.protocol import (
 from rotcal_ipp_dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
-from rotcal_ros.planning.approach import approached
+from rotcal_ros.planning.approach import approach_angles
 from rotcal_ros.planning.plan import Point
 from rotcal_ros.planning.table_feedback import TableSpeed
 
@@ -383,7 +383,7 @@ class TableAxis:
 
         AlignPart goes the shorter way round: none of its turns is longer than a third of a circle.
         """
-        way = approached(here, angle, approach, self.settings.overshoot_deg * DEGREE)
+        way = approach_angles(here, angle, approach, self.settings.overshoot_deg * DEGREE)
         if self.turn_by == ALIGN_PART:
             return [*_in_thirds(here, way[0]), *way[1:]]
         return list(way)

@@ -22,7 +22,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.geometry.rotations import align, wrap_angle
+from rotcal_ros.geometry.rotations import fit_rigid_transform, wrap_angle
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.plane_mirror.plan import (
     mirror_plan,
@@ -118,7 +118,7 @@ def _seen_normals(problem: PlaneMirrorProblem) -> tuple[Floats, Floats]:
     kind, xyz = problem.kind, problem.xyz
     across = xyz[kind == PointKind.DIRECT] - xyz[kind == PointKind.MIRRORED]
     seen = xyz[kind == PointKind.NEST].reshape(len(STANDS), -1, 3)
-    frames = align(seen, seen[:1])[0]
+    frames = fit_rigid_transform(seen, seen[:1])[0]
     return across / np.linalg.norm(across, axis=1, keepdims=True), frames
 
 
@@ -166,7 +166,7 @@ def spread_of_recipes() -> Recipes:
     nests = np.reshape(SETTINGS.nests_m, (-1, 3))
     seen = np.array([nests - stand.place for stand in STANDS])
     scattered = seen + NEST_STD * rng.standard_normal((RUNS, *seen.shape))
-    frames = align(scattered, scattered[:, :1])[0]
+    frames = fit_rigid_transform(scattered, scattered[:, :1])[0]
     found = recipes(normals, frames)
     return Recipes(
         *(

@@ -50,7 +50,7 @@ from rotcal_ros.methods.new_setup import (
     values_of_tables,
 )
 from rotcal_ros.methods.settings_reference import unit_and_meaning
-from rotcal_ros.page.state import Curve, Deviations, PageMark, plain
+from rotcal_ros.page.state import Curve, Deviations, PageMark, json_value
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.page import write_measured
 from rotcal_ros.report.printing import printed
@@ -168,7 +168,7 @@ def error_reply(error: Exception, asked: Asked) -> Reply:
     shown = at_boxes(text, asked.method)
     known = known_settings(asked.method) if asked.method else ()
     return {
-        "text": plain(shown) if shown.parts else shown,
+        "text": json_value(shown) if shown.parts else shown,
         "log": [line for line in log if not line.startswith("--set ")],  # buttons say that
         "question": question and _in_words(question, asked),
         "names": [found for found in known if re.search(rf"(?<![\w.]){found}(?![\w.]*\w)", text)],
@@ -247,13 +247,13 @@ def explained(asked: Asked) -> Reply:
 def _table(reading: Reading, asked: Asked) -> Reply:
     return {
         "name": asked.describe(reading.table.path.name),
-        "form": plain(reading.form),
+        "form": json_value(reading.form),
         "rows": len(reading.table.lines),
         "columns": list(_columns(reading)),
         "head": reading.head,
         "aside": reading.aside,
-        "remarks": plain((*reading.remarks, *map(asked.describe, reading.sources))),
-        "left_out": plain(reading.left_out),
+        "remarks": json_value((*reading.remarks, *map(asked.describe, reading.sources))),
+        "left_out": json_value(reading.left_out),
         "header": reading.table.header,
         "first": reading.table.lines[:SHOWN_ROWS],
     }
@@ -269,7 +269,7 @@ def _columns(reading: Reading) -> Iterator[Reply]:
         yield {
             "header": header,
             "name": TABLE_ANGLE if angle else column.name,
-            "theirs": plain(theirs),
+            "theirs": json_value(theirs),
             "text": None if use is None else use.text,
             **_unit(use, quantity, column.name),
         }
@@ -288,10 +288,10 @@ def solved(asked: Asked) -> Reply:
     write_atomically(asked.folder / RESULT, result.to_json())
     write_atomically(asked.folder / OWN_SETUP, asked.configuration().text)
     return {
-        "deviations": plain(shown(result)),
+        "deviations": json_value(shown(result)),
         "verdict": result.verdict,
         "simulated": result.circumstances.simulated,
-        "warnings": plain(result.warnings),
+        "warnings": json_value(result.warnings),
         "rejected": len(result.rejected),
         "dof": result.dof,
         "sigma0": result.sigma0,
@@ -334,7 +334,7 @@ def verified(asked: Asked) -> Reply:
     acts = [] if found.effect is None else [found.fault or found.effect.describe()]
     return {
         "verdict": found.verdict,
-        "words": plain((*acts, found.figures, *found.reserves)),
+        "words": json_value((*acts, found.figures, *found.reserves)),
         "rows": [[f"{a:g}", f"{b:.2f}", f"{c:.2f}"] for a, b, c in zip(*columns, strict=True)],
     }
 

@@ -13,7 +13,7 @@ from accessibility import require_accessible, require_reachable
 from exports import DATA, EXPORTS, MM, lines
 from test_page_language import english_words
 
-from rotcal_ros.page.app import listen
+from rotcal_ros.page.app import listening_socket
 from rotcal_tables.web import make_app
 
 expect = pytest.importorskip("playwright.sync_api").expect
@@ -35,7 +35,7 @@ FREE = "#tables, #command, #controller, #error, #language, #links, #warnings, td
 @contextmanager
 def served(folder):
     """Serve the page; yield the address with its key."""
-    listening = listen("127.0.0.1", 0)
+    listening = listening_socket("127.0.0.1", 0)
     port = listening.getsockname()[1]
     app = make_app(folder, port)
     server = uvicorn.Server(uvicorn.Config(app, log_level="warning", lifespan="off"))

@@ -13,7 +13,7 @@ from rotcal_design.settings import ANY, DIRECTION, PER_STATION, TracerDesignSett
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.plan import require_beams, within_reach
 from rotcal_ros.methods.tracer.policy.information import Lengths, Scene
 from rotcal_ros.planning.table_angles import table_angles
@@ -49,7 +49,7 @@ def scene_of(settings: TracerDesignSettings, targets: ArrayLike | None = None) -
     if not len(places):
         raise PlanError("no target is left in the volume: see volume_min_m, keep_out_m")
     return Scene(
-        stations=on_table(settings.mount_m, angles, settings.axis_m),
+        stations=positions_on_table(settings.mount_m, angles, settings.axis_m),
         table_angles=angles,
         targets=places,
         target_std=np.asarray(settings.target_std_m),

@@ -40,7 +40,7 @@ from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, stated_time
+from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, constant_time_model
 
 LOOKS: Final = (400, 1000, 2500)
 """Runs after which is asked whether the promise is kept. Tests that call 3 % of sound runs suspect
@@ -221,7 +221,7 @@ def time_model(settings: TracerDesignSettings) -> TimeModel:
     machine = HARDLY
     if settings.machine_speed_m_s is not None:
         machine = Drive(settings.machine_speed_m_s, settings.machine_acceleration_m_s2)
-    return stated_time(settings.rotation_s, settings.length_s, machine)
+    return constant_time_model(settings.rotation_s, settings.length_s, machine)
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,14 +66,14 @@ def sequence(
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
     from rotcal_ros.methods.tracer.simulation import cell_time
     from rotcal_ros.methods.tracer.table import write_pairs
-    from rotcal_ros.planning.sequence_time import stated_time
+    from rotcal_ros.planning.sequence_time import constant_time_model
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes))
     if calibration.method.name != "tracer_multistation":
         raise ConfigurationError(
             f"{configuration}: only plans of a laser tracer have such orders; name one of these"
         )
-    model = stated_time(turn_s, length_s)
+    model = constant_time_model(turn_s, length_s)
     if cell:
         model = cell_time(calibration.configuration)
     ways = _measuring_orders(calibration, model, limit, seed)

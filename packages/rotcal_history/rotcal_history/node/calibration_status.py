@@ -17,9 +17,9 @@ from rotcal_history.outlook import Outlook, park
 from rotcal_history.settings import HistorySettings
 from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.conversions import header
+from rotcal_ros.nodes.runtime.conversions import make_header
 from rotcal_ros.nodes.runtime.qos import LATCHED
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 
 TOPIC: Final = "calibration_status"
 
@@ -75,7 +75,9 @@ class CalibrationStatus(CellNode):
             if new != self._published:
                 self._published = new
                 self.get_logger().info(f"reported: {len(new)} tables")
-                self._publisher.publish(DiagnosticArray(header=header(self.now_ns()), status=new))
+                self._publisher.publish(
+                    DiagnosticArray(header=make_header(self.now_ns()), status=new)
+                )
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {"tables": str(len(self._published))}
@@ -83,7 +85,7 @@ class CalibrationStatus(CellNode):
 
 def main() -> None:
     """Run the node."""
-    run(CalibrationStatus)
+    run_node(CalibrationStatus)
 
 
 if __name__ == "__main__":
