@@ -105,7 +105,7 @@ def recorded_configurations(texts: Iterable[str]) -> Iterator[Configuration]:
             yield parse_configuration(text, names.CONFIGURATION, OFFLINE_GROUPS)
 
 
-def require_its_method(
+def require_same_method(
     configuration: Configuration, recorded: Iterable[Configuration], path: Path
 ) -> None:
     """Raise DataError when the method of ``configuration`` is not that of those ``recorded``."""
@@ -130,7 +130,9 @@ def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[S
         yield Identity(item=note.get("item", "")), note.get("simulated") == "true"
 
 
-def as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Configuration:
+def with_recorded_facts(
+    configuration: Configuration, subjects: Sequence[Subject]
+) -> Configuration:
     """Return the configuration with those facts of a recording that no set-up can change.
 
     A simulation stays one; who measured what is taken from the bag unless it is given. The first
@@ -184,7 +186,7 @@ class RecordedChoice:
         return cls(message.run, message.number, message.attempt, choice)
 
 
-def differences(
+def policy_differences(
     calibration: methods.Calibration,
     choices: Sequence[RecordedChoice],
     observations: Iterable[Observation],

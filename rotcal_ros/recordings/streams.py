@@ -71,7 +71,7 @@ class RecordConsumer(Protocol):
         """Take many feedbacks of the table."""
 
 
-class HeardJoints:
+class TopicJoints:
     """Which joints a topic has, and what of the table's is missing, for words about it.
 
     ``joint`` is the table's; empty: the first one. Raises nothing: it only counts.
@@ -151,7 +151,7 @@ class StreamFeeder:
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
-        self.joints = HeardJoints(joint)
+        self.joints = TopicJoints(joint)
         self._make_finder = make_finder
         self._finder = make_finder() if make_finder is not None else None
         self._finding = False

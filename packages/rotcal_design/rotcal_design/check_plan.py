@@ -13,7 +13,7 @@ from rotcal_design.settings import (
     LEAST_REDUNDANCY,
     TracerDesignSettings,
 )
-from rotcal_design.tracer.candidates import candidates, scene_of
+from rotcal_design.tracer.candidates import candidates, make_scene
 from rotcal_design.tracer.check_lengths import CheckLengths, fewest_lengths
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
@@ -181,7 +181,7 @@ def _offered(
         table_angles_deg=tuple((angles / DEGREE).tolist()),
         mount_m=configuration.simulation.tracer.mount_m,
     )
-    scene = scene_of(room, listed or None)
+    scene = make_scene(room, listed or None)
     seen = np.bincount(candidates(scene, room).target, minlength=len(scene.targets))
     places = np.asarray(scene.targets[seen == len(angles)], dtype=np.float64)
     if not len(places):

@@ -16,7 +16,7 @@ from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any, Final
 
-from rotcal_ros.cli.console import in_lines
+from rotcal_ros.cli.console import error_lines
 from rotcal_ros.compensation.agreement import UNVERIFIED
 from rotcal_ros.compensation.request import ExportRequest, write_export
 from rotcal_ros.evaluation.marks import marks, why_withheld
@@ -52,8 +52,8 @@ from rotcal_ros.methods.new_setup import (
 from rotcal_ros.methods.settings_reference import unit_and_meaning
 from rotcal_ros.page.state import Curve, Deviations, PageMark, json_value
 from rotcal_ros.recordings.result_sources import read_source
-from rotcal_ros.report.page import write_measured
-from rotcal_ros.report.printing import printed
+from rotcal_ros.report.page import report_measurement
+from rotcal_ros.report.printing import html_to_pdf
 from rotcal_tables.sheets.words import TABLE_ANGLE
 
 TABLE, TARGETS, SETUP, AFTER, IN_FORCE = "table", "targets", "setup", "after", "in_force"
@@ -160,7 +160,7 @@ def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> 
 
 def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
-    text, *log = map(asked.describe, in_lines(error))
+    text, *log = map(asked.describe, error_lines(error))
     if isinstance(error, UndecidedError):
         text = asked.describe(error.found)
     question = error.question if isinstance(error, RotcalError) else None
@@ -342,13 +342,13 @@ def verified(asked: Asked) -> Reply:
 def reported(asked: Asked) -> Reply:
     """Write the report."""
     with use_language(str(asked.options["language"])):
-        write_measured(asked.read(), asked.folder / REPORT)
+        report_measurement(asked.read(), asked.folder / REPORT)
     return {"files": [REPORT]}
 
 
 def as_pdf(asked: Asked) -> Reply:
     """Print the report."""
-    data = printed(read_text(asked.folder / REPORT))
+    data = html_to_pdf(read_text(asked.folder / REPORT))
     replace_atomically(asked.folder / PDF, partial(write_durably, content=data))
     return {"files": [PDF]}
 

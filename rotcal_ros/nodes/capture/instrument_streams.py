@@ -139,7 +139,8 @@ class InstrumentStreams:
         if header := getattr(batch[-1][0], "header", None):
             self._frames[role] = header.frame_id
         if type_name == OWN[names.JOINT_STATES]:
-            self._note_joints([message for message, _ in batch])
+            for message, _ in batch:
+                self._joints.note(message, self._joint)
         records = self._interpreter.records(role, type_name, sent)
         if role in TIMED:
             simulated_ns = self._node.now_ns() if self._node.health.sim.used else 0
@@ -154,10 +155,6 @@ class InstrumentStreams:
             if role in FAST:
                 self._rates.note(role, record.stamp_ns)
             self._take(record)
-
-    def _note_joints(self, messages: list[JointState]) -> None:
-        for message in messages:
-            self._joints.note(message, self._joint)
 
     def _switched(self, role: str) -> None:
         """Forget what was heard of an instrument that changed or is now read differently."""

@@ -117,9 +117,9 @@ class JointMonitor:
         order = self.order
         if order is None:
             return True
-        order.moved = order.moved or (
-            abs(angle - order.way.start) > self._tolerance or not self._must_move(order.way)
-        )
+        start = order.way.start
+        has_to_move = any(abs(stop - start) > self._tolerance for stop in order.way.angles)
+        order.moved = order.moved or not has_to_move or abs(angle - start) > self._tolerance
         return order.moved
 
     def arrived(self) -> bool:
@@ -170,6 +170,3 @@ class JointMonitor:
             return float("inf")
         off = self.latest.angle - way.goal
         return abs(off - TURN * round(off / TURN))
-
-    def _must_move(self, way: JointPath) -> bool:
-        return any(abs(angle - way.start) > self._tolerance for angle in way.angles)

@@ -66,7 +66,7 @@ class OrderForecast:
     knock_unseen: float
 
 
-def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
+def forecast_order(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     """Predict drift, knocks and growth for a plan.
 
     ``sigma`` of a centre coordinate and ``radius`` in m.

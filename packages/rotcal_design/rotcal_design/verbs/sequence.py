@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
-from rotcal_ros.cli.options import configurations, set_option
+from rotcal_ros.cli.options import complete_configurations, set_option
 from rotcal_ros.cli.plan import NOISE_SEED
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
@@ -28,7 +28,9 @@ ATTEMPTS: Final = 3
 
 
 @click.command("sequence")
-@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@click.argument(
+    "configuration", type=path_type, metavar="CONFIG", shell_complete=complete_configurations
+)
 @set_option
 @click.option(
     "--cell",
