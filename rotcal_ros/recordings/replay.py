@@ -271,7 +271,7 @@ class _Asked:
 
 
 def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozenset()) -> Recording:
-    """Do as :func:`read_recording`; raise SeveralCells if it is not clear which one is meant.
+    """Do as :func:`read_recording`; raise AmbiguousCellError if it is not clear which cell.
 
     ``left_out`` are the runs of plans that are known to be a stranger's.
     """

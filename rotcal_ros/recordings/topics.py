@@ -94,7 +94,7 @@ class Topics:
         self._topic_of_role.clear()
 
     def role(self, topic: str, type_name: str = "") -> str | None:
-        """Return the role of ``topic``; raises SeveralCells when two topics have the same one."""
+        """Return the role of ``topic``; AmbiguousCellError when two topics have the same one."""
         if topic == names.TF_STATIC:
             return names.TF_STATIC
         others = {**self.planned, **self._recorded, **self.renamed}
@@ -174,7 +174,7 @@ class Topics:
 def read_single_cell(
     read: Callable[[Topics], T], topics: Topics, files: tuple[Path, ...], limits: ReadingLimits
 ) -> T:
-    """Return what ``read`` returns; after SeveralCells, for the only cell with a plan."""
+    """Return what ``read`` returns; after AmbiguousCellError, for the only cell with a plan."""
     try:
         return read(topics)
     except AmbiguousCellError:

@@ -1,7 +1,8 @@
 """The bridge node: writes compensation tables as files, and applies them when a person confirms.
 
 BridgeNode takes tables and looks up corrections. ControllerAccess offers the two services that
-change the controller, ``apply`` and ``restore``; Announcer publishes which table is in force.
+change the controller, ``apply`` and ``restore``; ControllerInspector publishes which table is in
+force.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The operator's page: shows in a browser what the cell does, and passes on a person's requests.
 
 It receives what the nodes publish anyway and subscribes to no instrument; no node waits for it.
-FollowedGoal follows the planner's latest goal, whoever sent it; PageTopics takes plan, deviations,
-rejected attempts, orders and warnings; CapturedValues takes rates, readings and temperatures from
-the beat of the capture; WaitingTable is the compensation table that waits at the bridge, and its
+GoalFollower follows the planner's latest goal, whoever sent it; PageTopics takes plan, deviations,
+rejected attempts, orders and warnings; CaptureValues takes rates, readings and temperatures from
+the beat of the capture; PendingTable is the compensation table that waits at the bridge, and its
 confirmation by a person.
 """
 

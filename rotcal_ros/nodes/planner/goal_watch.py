@@ -260,7 +260,7 @@ class GoalWatch:
         return await wait_for_condition(condition, timeout_s, self._check, self._is_slow)
 
     async def wait_for_machine(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait like :meth:`wait` for what was ordered; HaltedError in an emergency stop."""
+        """Wait like :meth:`wait` for what was ordered; raises StepInterruptedError."""
         arrived = await wait_for_condition(
             condition, timeout_s, self._check_machine, self._is_slow
         )
@@ -276,7 +276,7 @@ class GoalWatch:
         return bool(self.slow)
 
     def heed_stop(self) -> None:
-        """Raise HaltedError during an emergency stop, and after it until a person has resumed."""
+        """Raise StepInterruptedError from an emergency stop until a person has resumed."""
         if why := self.stop.heed():
             raise StepInterruptedError(f"emergency stop: {why}")
 

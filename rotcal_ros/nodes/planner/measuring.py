@@ -291,7 +291,7 @@ class OperatorRequests:
 
 
 def require_resumable(watch: GoalWatch) -> None:
-    """Raise NotFreeError if a goal cannot be resumed yet."""
+    """Raise NotResumableError if a goal cannot be resumed yet."""
     health = watch.links.health
     watch.stop.heed()
     stop = [f"the emergency stop is on: {watch.stop.why}"] if watch.stop.why else []

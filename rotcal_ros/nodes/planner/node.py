@@ -512,7 +512,7 @@ class Planner(CellNode):
         return self._beat_values()[0].describe()
 
     def _require_free(self) -> None:
-        """Raise NotFreeError if the running goal cannot be resumed yet."""
+        """Raise NotResumableError if the running goal cannot be resumed yet."""
         if self._run is not None:
             require_resumable(self._run.watch)
 

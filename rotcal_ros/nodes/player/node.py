@@ -3,8 +3,8 @@
 It speaks JSON lines, for ``rotcal replay``: ``reading``, ``left_out``, ``note``, ``playing``,
 ``solving``, ``result``. SIGINT or SIGTERM ends it.
 
-ReplayGuard finds nodes that forbid a replay: a machine that would move, a second source of a
-topic. ReplayOutcome compares what live nodes made of the bag with the recording.
+TopicConflictGuard finds nodes that forbid a replay: a machine that would move, a second source of
+a topic. ReplayObserver compares what live nodes made of the bag with the recording.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ def _state(file: Path) -> str:
 
 
 def read_entry(folder: Path, key: str) -> BagOutcome | None:
-    """Return the outcome under ``key``, None without one; raises BrokenEntry."""
+    """Return the outcome under ``key``, None without one; raises DamagedEntryError."""
     try:
         checksum, text = _path(folder, key).read_text(encoding="utf-8").split("\n", 1)
     except FileNotFoundError:

@@ -68,10 +68,10 @@ def test_jobs_are_taken_as_they_are_needed(tmp_path):
 def test_a_worker_outlives_neither_its_supervisor_nor_the_bag_that_hangs(tmp_path):
     script = (
         "import deadly_work\n"
-        "from rotcal_history.fleet.batch_solving import Job\n"
-        "from rotcal_history.fleet.workers import on_all_cores\n"
-        f"jobs = [Job('good', None, {str(tmp_path)!r})] * 10**6\n"
-        "for outcome in on_all_cores(jobs, 1, 1.0, deadly_work.work):\n"
+        "from rotcal_history.fleet.batch_solving import BagJob\n"
+        "from rotcal_history.fleet.workers import run_on_cores\n"
+        f"jobs = [BagJob('good', None, {str(tmp_path)!r})] * 10**6\n"
+        "for outcome in run_on_cores(jobs, 1, 1.0, deadly_work.work):\n"
         "    print(outcome.source, flush=True)\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE)
