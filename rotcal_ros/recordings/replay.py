@@ -254,12 +254,12 @@ def read_recording(
     """
     files = bag_files(path)
     require_one_session(files, limits)
-    asked = _Asked(path, files, source, configuration, progress, limits)
+    asked = _ReadRequest(path, files, source, configuration, progress, limits)
     return read_single_cell(partial(_recording, asked), topics or Topics(), files, limits)
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _ReadRequest:
     """What is asked of the ``files`` of a bag; ``configuration`` None: the one in the bag."""
 
     path: Path
@@ -270,7 +270,9 @@ class _Asked:
     limits: ReadingLimits
 
 
-def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozenset()) -> Recording:
+def _recording(
+    asked: _ReadRequest, topics: Topics, left_out: frozenset[str] = frozenset()
+) -> Recording:
     """Do as :func:`read_recording`; raise AmbiguousCellError if it is not clear which cell.
 
     ``left_out`` are the runs of plans that are known to be a stranger's.
