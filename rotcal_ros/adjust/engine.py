@@ -703,9 +703,10 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     for size in np.unique(sizes).tolist():
         alike = model.elements[each[sizes == size], :size]
         needed = noncentrality(significance, POWER, size)
-        values, ways = np.linalg.eigh(fit.cofactors(alike))
+        cofactor, kind = fit.cofactors(alike)
+        values, ways = np.linalg.eigh(cofactor)
         seen = np.maximum(values, needed / LARGEST**2)
-        weight = (ways * (needed / seen / len(each))[:, None]) @ ways.swapaxes(1, 2)
+        weight = ((ways * (needed / seen / len(each))[:, None]) @ ways.swapaxes(1, 2))[kind]
         first, second = np.repeat(alike, size, axis=1), np.tile(alike, (1, size))
         found_of = fit.products_of(first.ravel(), second.ravel(), weight.reshape(1, -1))
         squares += found_of[: len(std), 0]
