@@ -61,7 +61,7 @@ def neighbourhoods(places: Floats) -> Bools:
 
 
 def neighbourhoods_of_each(places: Floats) -> Bools:
-    """Return those of g groups of as many elements, ``places`` (g, e, d), with repeats: (g, q, e)."""
+    """Return those (g, q, e), repeats too, of groups of as many elements, ``places`` (g, e, d)."""
     g, e = places.shape[:2]
     apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
     nearest = np.argsort(apart, axis=2, kind="stable")
