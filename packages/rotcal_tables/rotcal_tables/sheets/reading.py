@@ -80,6 +80,8 @@ from rotcal_tables.sheets.words import (
     label_of,
 )
 
+_WITHOUT_SIGN: Final = frozenset({"u", "expanded", "uncertainty"})
+"""Columns that are the same whichever way an encoder counts."""
 _OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
 """Columns as messages call them."""
 _SMALL: Final = ("arcsec", "urad", "mrad", "deg")
@@ -425,7 +427,10 @@ class _Rows:
             measure = self._sixtieths(number, value, measure, use, name)
         unit = measure.unit or self._unit(use, quantity, value, name)
         found = in_si(measure, unit)
-        return str(found / self._counts(name, use) if unit == COUNTS else found)
+        if unit != COUNTS:
+            return str(found)
+        counts = self._counts(name, use)  # below 0 where they go against the table
+        return str(found / (abs(counts) if name in _WITHOUT_SIGN else counts))
 
     def _counts(self, name: str, use: Use) -> int:
         """Return how many counts of a column make a turn; a question where nobody says it."""
