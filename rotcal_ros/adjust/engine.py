@@ -609,8 +609,8 @@ def _open(found: Adjusted) -> Iterator[Phrase]:
             yield phrase("{0}: something moved or drifted in between", differs)
     rest = None
     if np.isfinite(found.freedom):  # what does not close is among what effects explain
-        each = [(found.fit.chi2, found.fit.dof), *(closed.squares for closed in found.closed)]
-        rest = sum(squares for squares, _ in each), float(sum(rank for _, rank in each))
+        parts = [(found.fit.chi2, found.fit.dof), *(closed.squares for closed in found.closed)]
+        rest = sum(squares for squares, _ in parts), float(sum(rank for _, rank in parts))
     named = {e.effect.effect for e in found.found_effects}
     for effect, seen in found.seen if found.closed else ():
         test = (

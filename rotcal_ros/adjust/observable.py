@@ -54,7 +54,8 @@ def observe_family(fit: Fit, columns: Floats | Steps, width: int = 1) -> Observa
     """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
     if isinstance(columns, Steps) and not columns.centred and columns.stride == 1:
         return _steps_observable_by(fit, columns)
-    parts, count, last = list[ObservableFamily](), columns.shape[1] // width, None
+    parts, count = list[ObservableFamily](), columns.shape[1] // width
+    last: list[Floats] | None = None
     some = max(1, min(AT_A_TIME, MOST_NUMBERS // (len(fit.std) * width)))
     for begin in range(0, max(count, 1), some):
         written = dense_columns(columns, slice(begin * width, (begin + some) * width))

@@ -133,10 +133,11 @@ class _Reach:
         along, counted = sensitivity.along, self.std[sensitivity.at] > 0.0
         at = sensitivity.at[counted]
         own = (sensitivity.common[at] @ along + sensitivity.own[counted]) / self.std[at, None]
-        squares, worst, left = 0.0, 0.0, len(self.root)  # rows of what all outputs feel
+        squares, worst = np.zeros(unseen.size.shape), np.zeros(unseen.size.shape)
+        left = len(self.root)  # rows of what all outputs feel come first
         for each in unseen.found.of_many(np.concatenate([self.root @ along, own])):
-            squares = squares + (each[:left] ** 2).sum(axis=0)
-            worst = np.maximum(worst, np.abs(each[left:]).max(axis=0, initial=0.0))
+            squares += (each[:left] ** 2).sum(axis=0)
+            np.maximum(worst, np.abs(each[left:]).max(axis=0, initial=0.0), out=worst)
             left = max(left - len(each), 0)
         share = np.maximum(self.longest * np.sqrt(squares), SAFELY * worst)
         return float((share * unseen.size).max())
