@@ -79,7 +79,7 @@ def sum_moments(moments: Iterable[ErrorMoments], outputs: int) -> tuple[Floats, 
     second, own = np.zeros((0, 0) if large else (outputs, outputs)), list[csr_array]()
     common: Floats | None = None
     first, square, mixed = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
-    for moment in moments:
+    for moment in _by_sensitivity(moments) if large else moments:
         sensitivity = moment.sensitivity
         along = sensitivity.along @ moment.square
         if sensitivity.common is None:
@@ -94,11 +94,11 @@ def sum_moments(moments: Iterable[ErrorMoments], outputs: int) -> tuple[Floats, 
         square += along @ sensitivity.along.T
         mean[sensitivity.at] += sensitivity.own @ moment.first
         mixed[:, sensitivity.at] += along @ sensitivity.own.T
-        beside = sensitivity.own @ moment.square @ sensitivity.own.T
         if large:
-            own.append(_root_at(beside, sensitivity.at, outputs))
-        else:
-            second[np.ix_(sensitivity.at, sensitivity.at)] += beside
+            own.append(_own_root(moment, outputs))
+            continue
+        beside = sensitivity.own @ moment.square @ sensitivity.own.T
+        second[np.ix_(sensitivity.at, sensitivity.at)] += beside
     if common is None:
         return mean, second if second.size else np.zeros((outputs, outputs))
     mean += common @ first
@@ -113,9 +113,25 @@ def sum_moments(moments: Iterable[ErrorMoments], outputs: int) -> tuple[Floats, 
     return mean, second
 
 
-def _root_at(square: Floats, at: Ints, outputs: int) -> csr_array:
-    """Return a root (o, t) of what outputs ``at`` (t,) have as ``square`` (t, t)."""
-    values, ways = np.linalg.eigh(square)
+def _by_sensitivity(moments: Iterable[ErrorMoments]) -> Iterable[ErrorMoments]:
+    """Return the sums of those that have one sensitivity."""
+    found = dict[int, ErrorMoments]()
+    for each in moments:
+        before = found.get(id(each.sensitivity))
+        if before is not None:
+            each = replace(
+                before, first=before.first + each.first, square=before.square + each.square
+            )
+        found[id(each.sensitivity)] = each
+    return found.values()
+
+
+def _own_root(moment: ErrorMoments, outputs: int) -> csr_array:
+    """Return a root (o, c) of the square of what outputs feel beside the common part."""
+    at, own, square = moment.sensitivity.at, moment.sensitivity.own, moment.square
+    few = own.shape[1] < len(at)
+    values, ways = np.linalg.eigh(square if few else own @ square @ own.T)
     root = ways * np.sqrt(np.maximum(values, 0.0))
-    places = np.repeat(at, len(at)), np.tile(np.arange(len(at)), len(at))
-    return csr_array((root.ravel(), places), shape=(outputs, len(at)))
+    root = own @ root if few else root
+    places = np.repeat(at, root.shape[1]), np.tile(np.arange(root.shape[1]), len(at))
+    return csr_array((root.ravel(), places), shape=(outputs, root.shape[1]))

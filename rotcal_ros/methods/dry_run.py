@@ -164,6 +164,14 @@ class DryRun:
 
     def taking(self) -> tuple[float, str]:
         """Return the time (s) of the plan, and what it rests on; DataError where none is known."""
+        (seconds, why), each_s = self._measuring(), self.calibration.configuration.planner.pause_s
+        works = sum(pause.again_from is None for pause in self.calibration.plan.pauses)
+        if not (works and each_s):
+            return seconds, why
+        return seconds + works * each_s, f"{why}, {each_s:g} s for a pause (planner.pause_s)"
+
+    def _measuring(self) -> tuple[float, str]:
+        """Return the time (s) of the plan without a person's work, and what it rests on."""
         configuration = self.calibration.configuration
         planner, capture = configuration.planner, configuration.capture
         least = 0.0  # what the capture needs at a step at least, where it is known

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Plan
 
 
@@ -13,6 +14,11 @@ def require_turns(configuration: Configuration, planned: Plan) -> None:
         raise PlanError(
             "plan.turning_deg_s: table_adapter moves the table from rest to rest, and makes no "
             "turns: leave one of both out"
+        )
+    if configuration.planner.policy != AS_LISTED:
+        raise PlanError(
+            f"plan.turning_deg_s: a turn passes all angles, the policy "
+            f"{configuration.planner.policy} chooses single lengths: leave planner.policy out"
         )
     limit_s, before = configuration.planner.step_timeout_s, planned.steps[0]
     for step in planned.steps:

@@ -159,6 +159,13 @@ class PlannerSettings:
         maximum=3600.0,
         doc="s, expected duration of a turn of the table from one angle to the next",
     )
+    pause_s: float = expert(
+        0.0,
+        minimum=0.0,
+        maximum=86_400.0,
+        doc="s, expected duration of a person's work before a step, for predicted times; 0: it is "
+        "not counted",
+    )
 
     max_attempts: int = expert(
         3, doc="attempts at one step before it is skipped", minimum=1, maximum=100

@@ -111,7 +111,9 @@ class TurningTrade:
     """A tracer's plan of the first ``targets``, on a table that turns or ``stands`` at its angles.
 
     All is measured in both directions, in ``seconds``. ``expanded``: U (k = 2) of ECC, rms over
-    the angles about their mean, rad. ``untested``: what the plan is not protected against.
+    the angles about their mean, rad; ``place`` (m) and ``lean`` (rad) the largest such of EXC, EYC
+    and EZC, and of EAC and EBC, None where only ECC is measured. ``untested``: what the plan is
+    not protected against.
     """
 
     stands: bool
@@ -120,6 +122,8 @@ class TurningTrade:
     lengths: int
     seconds: float
     expanded: float
+    place: float | None
+    lean: float | None
     untested: tuple[str, ...]
 
 
@@ -283,13 +287,16 @@ def _at_rest(angles: int) -> tuple[str, ...]:
 def _with_turns(calibration: Calibration) -> TurningTrade:
     planned, alone = calibration.plan, calibration.of_distances
     result = alone.solve(alone.measured({}, SEED).observations)
+    u = {c: COVERAGE_FACTOR * rms_about_mean(result.covariance[c]) for c in result.components}
     return TurningTrade(
         stands=not calibration.configuration.plan.turning_deg_s,
         targets=len(planned.targets),
         angles=len(result.angles),
         lengths=len(planned.counting),
         seconds=DryRun(calibration, planned.steps[0].table_angle).taking()[0],
-        expanded=COVERAGE_FACTOR * rms_about_mean(result.covariance["ECC"]),
+        expanded=u["ECC"],
+        place=max((u[c] for c in u if c in ("EXC", "EYC", "EZC")), default=None),
+        lean=max((u[c] for c in u if c in ("EAC", "EBC")), default=None),
         untested=result.unprotected,
     )
 

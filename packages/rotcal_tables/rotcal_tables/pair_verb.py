@@ -52,7 +52,10 @@ def command(
     for line in left_out:
         say(f"left out: {line}")
     if not found:
-        raise BagError(f"{bag}: the commanded angle never stood for {rest:g} s: lower --rest")
+        raise BagError(
+            f"{bag}: the commanded angle never stood for {rest:g} s with the table at rest: see "
+            "what was left out, or lower --rest"
+        )
     write_atomically(output, "\n".join([*as_table(found, commanded_unit, actual_unit), ""]))
     tell(f"{output}: {len(found)} rests")
     return 0

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust.bordered import index_within_group
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
@@ -79,6 +80,28 @@ def length_columns(
         "table_angles": np.array(plan.table_angles),
         "settings": settings,
     }
+
+
+def segments_of(observations: Sequence[Observation], turn: Ints | None = None) -> Ints:
+    """Return the segment (k,) of each observation; another run is another segment.
+
+    So is, where the table turned, another ``turn`` (k,) for one target: it takes its time.
+    """
+    kinds = ("run", "segment", "attempt", "station", "target")[: 2 if turn is None else None]
+    every = np.array([[getattr(o, kind) for kind in kinds] for o in observations], dtype=np.int64)
+    every = every.reshape(-1, len(kinds))
+    if turn is not None:
+        every = np.column_stack([every, turn])
+    return np.unique(every, axis=0, return_inverse=True)[1].ravel()
+
+
+def times_measured_before(plan: Plan, observations: Sequence[Observation]) -> Ints:
+    """Return how often the same was measured before each observation (k,), in any run."""
+    before, found = times_before(plan), np.zeros(len(observations), dtype=np.int64)
+    in_time = np.argsort([o.run for o in observations], kind="stable")
+    step = np.array([o.step for o in observations], dtype=np.int64)[in_time]
+    found[in_time] = before[step] + (before.max(initial=0) + 1) * index_within_group(step)
+    return found
 
 
 def read_from(places: Sequence[Point], dead_distance: float) -> See:

@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.bordered import index_within_group
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation import plugins
-from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import (
     DataError,
     GeometryError,
     ObservabilityError,
-    PlanError,
 )
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
@@ -33,12 +30,13 @@ from rotcal_ros.methods.arrivals import (
 )
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
-from rotcal_ros.methods.tracer import table, turning_readings, turning_table
+from rotcal_ros.methods.tracer import table
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
     read_from,
-    times_before,
+    segments_of,
+    times_measured_before,
 )
 from rotcal_ros.methods.tracer.plan import check_plan, tracer_plan
 from rotcal_ros.methods.tracer.settings import (
@@ -53,7 +51,6 @@ from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.table import PLAN_FILES
 from rotcal_ros.methods.turning import require_turns
-from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Plan, PlanComparison
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -111,17 +108,6 @@ def _in_segments(configuration: Configuration) -> bool:
     return bool(turning) or bool(configuration.solver.zero == "per_segment")
 
 
-def _segments(observations: Sequence[Observation], *, turning: bool) -> Ints:
-    """Return the segment (k,) of each observation; another run is another segment.
-
-    So is another turn, which takes its time.
-    """
-    kinds = ("run", "segment", "attempt", "station", "target")[: None if turning else 2]
-    every = np.array([[getattr(o, kind) for kind in kinds] for o in observations], dtype=np.int64)
-    every = every.reshape(-1, len(kinds))
-    return np.unique(every, axis=0, return_inverse=True)[1].ravel()
-
-
 def _arrivals(configuration: Configuration) -> Arrivals | None:
     """Return the arrivals of all stations of a plan with repeated runs."""
     settings: TracerPlanSettings = configuration.plan
@@ -145,9 +131,9 @@ def problem(
             )
     columns, mount = length_columns(settings, plan, observations), configuration.plan.tracer_m
     speeds = np.array(configuration.plan.turning_deg_s) * DEGREE
-    segments, again = _in_segments(configuration), _earlier(plan, observations)
+    segments, again = _in_segments(configuration), times_measured_before(plan, observations)
     run = np.array([o.run for o in observations], dtype=np.int64)
-    angles = np.tile(plan.table_angles, max(len(speeds), 1))
+    angles, turn = np.tile(plan.table_angles, max(len(speeds), 1)), None
     if len(speeds):
         turn = np.array([o.station for o in observations], dtype=np.int64)
         columns |= {
@@ -159,7 +145,7 @@ def problem(
         }
     return TracerProblem(
         **columns,
-        segment=_segments(observations, turning=bool(len(speeds))) if segments else None,
+        segment=segments_of(observations, turn) if segments else None,
         again=again if again.any() else None,
         run=None if segments or len(np.unique(run)) < 2 else run,
         position_std=settings.position_std_m,
@@ -173,15 +159,6 @@ def problem(
         circle_std=settings.circle_std_m,
         repeated_runs=configuration.plan.repeated,
     )
-
-
-def _earlier(plan: Plan, observations: Sequence[Observation]) -> Ints:
-    """Return how often the same was measured before each observation (k,), in any run."""
-    before, found = times_before(plan), np.zeros(len(observations), dtype=np.int64)
-    in_time = np.argsort([o.run for o in observations], kind="stable")
-    step = np.array([o.step for o in observations], dtype=np.int64)[in_time]
-    found[in_time] = before[step] + (before.max(initial=0) + 1) * index_within_group(step)
-    return found
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
@@ -218,14 +195,8 @@ def _check_plan(configuration: Configuration, plan: Plan) -> None:
     """Raise PlanError for a plan that could never be solved, or never be carried out."""
     turning = bool(configuration.plan.turning_deg_s)
     check_plan(configuration.solver, plan, turning=turning)
-    if not turning:
-        return
-    require_turns(configuration, plan)
-    if configuration.planner.policy != AS_LISTED:
-        raise PlanError(
-            f"plan.turning_deg_s: a turn passes all angles, the policy "
-            f"{configuration.planner.policy} chooses single lengths: leave planner.policy out"
-        )
+    if turning:
+        require_turns(configuration, plan)
 
 
 _TRACER: Final = plugins.lazy_load("rotcal_ros.methods.tracer.simulation:TracerAndReflector")
@@ -259,7 +230,7 @@ METHOD: Final = Method(
         table.TARGETS,
         runs="runs",
         again={"order": TARGETS_PER_STATION},
-        with_angles=(*turning_table.HEADERS, *turning_readings.HEADERS),
+        with_angles=table.TURNS.headers,
     ),
     figures=plugins.lazy_load("rotcal_ros.methods.tracer.figures:figures"),
     tables=plugins.lazy_load("rotcal_ros.methods.tracer.figures:tables"),

@@ -25,6 +25,7 @@ from rotcal_ros.methods.tracer.settings import (
     BlockSettings,
     TracerPlanSettings,
     TracerSolverSettings,
+    TurningBlockSettings,
 )
 from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.observability import what_is_missing
@@ -131,19 +132,30 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
     """Return the plan of a table that turns once at each speed, for one target after the other.
 
     ``targets``: in place of the plan's. A step's station is its run: the number of its speed.
-    Every turn begins with a step at rest, at which the reflector has come to its target.
-    Raises PlanError for speeds of zero, for settings that ask for stops, and for more than
-    MOST_PASSED angles.
+    Raises PlanError for settings that ask for stops, and as :func:`turning_steps`.
     """
-    speeds, angles = settings.turning_deg_s, table_angles(settings)
-    if not all(speeds):
-        raise PlanError(f"turning_deg_s: {list(speeds)} deg/s: a table that turns has a speed")
     if settings.pairs or settings.limited or settings.runs > 1 or settings.bidirectional:
         raise PlanError(
             "turning_deg_s measures every target in a whole turn at each speed: leave out pairs, "
             "min_elevation_deg, min_distance_m, runs and bidirectional; speeds of both signs "
             "measure both directions"
         )
+    angles, targets = table_angles(settings), tuple(targets) or targets_of(settings)
+    return Plan(METHOD, angles, targets, turning_steps(settings, angles, targets))
+
+
+def turning_steps(
+    settings: TurningBlockSettings, angles: tuple[float, ...], targets: tuple[Point, ...]
+) -> tuple[Step, ...]:
+    """Return the steps of a table that passes ``angles`` (rad) at each speed for each target.
+
+    A step's station is its run: the number of its speed. Every turn begins with a step at rest, at
+    which the reflector has come to its target. Raises PlanError for speeds of zero, and for more
+    than MOST_PASSED angles.
+    """
+    speeds = settings.turning_deg_s
+    if not all(speeds):
+        raise PlanError(f"turning_deg_s: {list(speeds)} deg/s: a table that turns has a speed")
     if (places := len(angles) * len(speeds)) > MOST_PASSED:
         raise PlanError(
             f"turning_deg_s: {len(angles)} angles at {len(speeds)} speeds are {places} places, "
@@ -154,7 +166,7 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
             f"run_up_deg: {settings.run_up_deg:g} leaves the table no way to get up to its speed "
             f"before passing_deg, {settings.passing_deg:g}"
         )
-    targets, steps = tuple(targets) or targets_of(settings), list[Step]()
+    steps = list[Step]()
     ends = angles[0] - settings.run_up_deg * DEGREE, angles[-1] + settings.run_up_deg * DEGREE
     for target, (run, speed) in product(range(len(targets)), enumerate(speeds)):
         sense = 1 if speed > 0.0 else -1
@@ -167,7 +179,7 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
         turn, passing = Turn(begin, end, speed * DEGREE), settings.passing_deg * DEGREE
         each = (rest, *(replace(step, turn=turn, passing=passing) for step in passed))
         steps += [replace(step, index=k) for k, step in enumerate(each, len(steps))]
-    return Plan(METHOD, angles, targets, tuple(steps))
+    return tuple(steps)
 
 
 def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:

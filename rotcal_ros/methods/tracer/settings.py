@@ -104,6 +104,17 @@ class LengthNoiseSettings(TracerLimits):
         "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
         "slip",
     )
+    lag_s: float | None = expert(
+        None,
+        minimum=-1.0,
+        maximum=1.0,
+        doc="s, by which the feedback of a table that turns is late behind the lengths; none: "
+        "estimated where runs of several speeds tell it from the table's reversal, else the mean "
+        "reversal is called zero",
+    )
+    lag_std_s: float = expert(
+        1e-6, minimum=1e-9, maximum=1.0, doc="s, standard uncertainty (k = 1) of lag_s"
+    )
 
 
 @dataclass(frozen=True)
@@ -151,17 +162,6 @@ class TracerSolverSettings(LengthNoiseSettings):
         maximum=1e-2,
         doc="m, standard deviation of the table's radial error motion at the tracer's height; 0: "
         "no such motion; none: as circle_std_m, else estimated from the circle of the stations",
-    )
-    lag_s: float | None = expert(
-        None,
-        minimum=-1.0,
-        maximum=1.0,
-        doc="s, by which the feedback of a table that turns is late behind the lengths; none: "
-        "estimated where runs of several speeds tell it from the table's reversal, else the mean "
-        "reversal is called zero",
-    )
-    lag_std_s: float = expert(
-        1e-6, minimum=1e-9, maximum=1.0, doc="s, standard uncertainty (k = 1) of lag_s"
     )
 
 
@@ -332,7 +332,20 @@ class BlockSettings(TableAngleSettings):
 
 
 @dataclass(frozen=True)
-class TracerPlanSettings(BlockSettings):
+class TurningBlockSettings(BlockSettings):
+    """The same, and how fast a table turns that does not stop at its angles."""
+
+    turning_deg_s: tuple[float, ...] = expert(
+        (),
+        doc="deg/s, speeds at which the table turns once for each target while lengths are read, "
+        "negative for back, as 12 and -12; none: it stops at every angle",
+    )
+    run_up_deg: float = run_up_setting()
+    passing_deg: float = passing_setting(0.5)
+
+
+@dataclass(frozen=True)
+class TracerPlanSettings(TurningBlockSettings):
     """Where the table turns and where the reflector goes."""
 
     order: str = setting(
@@ -373,13 +386,6 @@ class TracerPlanSettings(BlockSettings):
         "and min_distance_m need it",
         first=True,
     )
-    turning_deg_s: tuple[float, ...] = expert(
-        (),
-        doc="deg/s, speeds at which the table turns once for each target while lengths are read, "
-        "negative for back, as 12 and -12; none: it stops at every angle",
-    )
-    run_up_deg: float = run_up_setting()
-    passing_deg: float = passing_setting(0.5)
     min_elevation_deg: float | None = setting(
         None,
         minimum=-90.0,

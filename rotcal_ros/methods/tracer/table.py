@@ -36,9 +36,10 @@ from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Measurements, PlanFile, Trials
 from rotcal_ros.methods.tracer import turning_readings, turning_table
 from rotcal_ros.methods.tracer.lengths import LengthCheck
-from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
+from rotcal_ros.methods.tracer.plan import check_plan, explicit_plan, plan_of, turning_plan
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solver.stations import StationProblem, solve
+from rotcal_ros.methods.tracer.turning_table import TurningTables
 from rotcal_ros.planning.plan import Plan, Point
 
 SEGMENT: Final = "segment"
@@ -93,12 +94,29 @@ def read(configuration: Configuration, table: Table, targets: Table | None) -> M
     """Return what a table of lengths, or of stations, holds."""
     if table.header in STATIONS:
         return read_stations(configuration, table)
-    if table.header in (*turning_table.HEADERS, *turning_readings.HEADERS):
-        _require_places(configuration, table, targets)
-        raw = table.header in turning_readings.HEADERS
-        read_turns = turning_readings.read if raw else turning_table.read
-        return read_turns(configuration, table, () if targets is None else _points(targets))
+    if table.header in TURNS.headers:
+        return read_turns(TURNS, configuration, table, targets)
     return _read_lengths(configuration, table, targets)
+
+
+def read_turns(
+    form: TurningTables, configuration: Configuration, table: Table, targets: Table | None
+) -> PlannedMeasurements:
+    """Return the lengths of a table that turned, which a ``table`` holds or its readings make."""
+    _require_places(configuration, table, targets)
+    raw = table.header in form.readings
+    read_them = turning_readings.read if raw else turning_table.read
+    return read_them(form, configuration, table, () if targets is None else _points(targets))
+
+
+def _plan_of_turns(configuration: Configuration, targets: tuple[Point, ...]) -> Plan:
+    """Return the plan of turns that a table holds; to its own targets without ``targets``."""
+    planned = turning_plan(configuration.plan, targets)
+    check_plan(configuration.solver, planned, turning=True)
+    return planned
+
+
+TURNS: Final = TurningTables(_plan_of_turns)
 
 
 def read_stations(configuration: Configuration, table: Table) -> StationTable:

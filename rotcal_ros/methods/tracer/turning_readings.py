@@ -2,7 +2,8 @@
 
 Each row is one reading, and where the feedback of the table was at that moment; an empty length
 is a broken beam. Turns are found by themselves: one goes from before the first angle to behind the
-last, or back, at one of the speeds if they are stated. Readings become lengths as live ones do.
+last, or back, at one of the speeds if they are stated. Where the tracer stands at several places
+of the table, a column ``place`` numbers them. Readings become lengths as live ones do.
 """
 
 from __future__ import annotations
@@ -20,18 +21,24 @@ from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import NOTHING
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.tables import Header, Table, table_hashes
+from rotcal_ros.foundation.tables import Table, table_hashes
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND, TURN
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import LATEST_S, TIME, PlannedMeasurements
 from rotcal_ros.methods.tracer.lengths import LengthCheck
-from rotcal_ros.methods.tracer.turning_table import AS_STATED, planned, run_of, speeds_of, stated
+from rotcal_ros.methods.tracer.turning_table import (
+    AS_STATED,
+    PLACE,
+    TurningTables,
+    planned,
+    run_of,
+    speeds_of,
+    stated,
+)
 from rotcal_ros.planning.plan import Point, Step
 from rotcal_ros.planning.table_angles import table_angles
 
-_COLUMNS: Final = (TIME, "angle_deg", "length_m")
-HEADERS: Final[tuple[Header, ...]] = (_COLUMNS, (*_COLUMNS, "target"))
 _TURN_DEG: Final = TURN / DEGREE
 _LEAST: Final = 3
 """Readings in a turn, without which it has no speed."""
@@ -41,7 +48,8 @@ _LEAST: Final = 3
 class _RawReadings:
     """All readings of a ``table``, (n,): seconds, degrees without a wrap, metres, and targets.
 
-    A length is nan where the beam was broken; ``target`` is None where no column names it.
+    A length is nan where the beam was broken; ``target`` is None where no column names it, and
+    ``place`` is 0 then.
     """
 
     table: Table
@@ -49,6 +57,7 @@ class _RawReadings:
     angle_deg: Floats
     length: Floats
     target: Ints | None
+    place: Ints
 
     @classmethod
     def of(cls, table: Table) -> _RawReadings:
@@ -60,12 +69,14 @@ class _RawReadings:
             row.metres("length_m") if row.cells["length_m"].strip() else np.nan for row in rows
         ])  # fmt: skip
         target = [row.index("target") for row in rows] if "target" in table.header else None
+        place = [row.index(PLACE) if PLACE in table.header else 0 for row in rows]
         if (back := np.flatnonzero(np.diff(time) <= 0.0)).size:
             raise DataError(f"{rows[int(back[0]) + 1].place}: {TIME} does not grow")
         if np.abs(time[[0, -1]]).max() > LATEST_S:
             raise DataError(f"{table.path}: {TIME} is {time[-1]:g} s; are these milliseconds?")
         whole = np.unwrap(angle, period=_TURN_DEG)
-        return cls(table, time, whole, length, None if target is None else np.array(target))
+        targets = None if target is None else np.array(target)
+        return cls(table, time, whole, length, targets, np.array(place))
 
     def about(self, middle_deg: float) -> _RawReadings:
         """Return them with angles, whole turns apart, as near to ``middle_deg`` as can be."""
@@ -76,15 +87,16 @@ class _RawReadings:
 
 @dataclass(frozen=True, eq=False)
 class _FoundTurn:
-    """One turn: the ``rows`` of its readings, its ``speed`` (deg/s), and its ``target``."""
+    """One turn: the ``rows`` of its readings, its ``speed`` (deg/s), ``place`` and ``target``."""
 
     rows: slice
     speed: float
-    target: int
+    place: int = -1
+    target: int = -1
 
 
 def read(
-    configuration: Configuration, table: Table, targets: tuple[Point, ...]
+    form: TurningTables, configuration: Configuration, table: Table, targets: tuple[Point, ...]
 ) -> PlannedMeasurements:
     """Return the lengths at the table angles, of the readings in a ``table``.
 
@@ -99,22 +111,23 @@ def read(
         found = [turn for turn in found if any(_alike(turn.speed, speed) for speed in speeds)]
     else:
         speeds = speeds_of(turn.speed for turn in found)
-    calibration = planned(configuration, wanted, speeds, targets)
-    found = _with_targets(found, readings, len(calibration.plan.targets), len(speeds))
-    steps = {(s.station, s.table_position, s.target): s for s in calibration.plan.steps if s.turn}
+    calibration = planned(form, configuration, wanted, speeds, targets)
+    places, of = form.count(calibration.plan), len(calibration.plan.targets)
+    found = _with_targets(_with_places(found, readings, places), readings, of, len(speeds), places)
+    steps = form.steps(calibration.plan)
     check, observations = LengthCheck(calibration.plan), list[Observation]()
-    attempts, segment = Counter[tuple[int, int]](), 0
+    attempts, segment = Counter[tuple[int, int, int]](), 0
     for turn in found:
         place = f"{table.path}, from {readings.time[turn.rows][0]:.6g} s on"
         run = run_of(turn.speed, turn.speed, place, speeds)
         count = len(wanted)
         sense = 1 if turn.speed > 0.0 else -1
-        passed = [steps[run, k, turn.target] for k in range(count)][::sense]
+        passed = [steps[turn.place, run, k, turn.target] for k in range(count)][::sense]
         for step in passed:
             seen = _observed(readings, turn, step, calibration, segment)
-            seen = replace(seen, attempt=attempts[run, turn.target])
+            seen = replace(seen, attempt=attempts[turn.place, run, turn.target])
             observations.append(check(seen))
-        attempts[run, turn.target] += 1
+        attempts[turn.place, run, turn.target] += 1
         segment += 1 + int(np.isnan(readings.length[turn.rows]).sum())
     return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
@@ -150,7 +163,7 @@ def _turns(readings: _RawReadings, first_deg: float, last_deg: float) -> list[_F
         if rows.stop - rows.start < _LEAST:
             continue
         time, way = readings.time[rows], angle[rows]
-        found.append(_FoundTurn(rows, float((way[-1] - way[0]) / (time[-1] - time[0])), -1))
+        found.append(_FoundTurn(rows, float((way[-1] - way[0]) / (time[-1] - time[0]))))
     if not found:
         raise DataError(
             f"{readings.table.path}: the table never turned from {first_deg:g} to {last_deg:g} "
@@ -160,29 +173,47 @@ def _turns(readings: _RawReadings, first_deg: float, last_deg: float) -> list[_F
     return found
 
 
+def _with_places(found: list[_FoundTurn], readings: _RawReadings, places: int) -> list[_FoundTurn]:
+    """Return the turns with their places: by the column, 0 where there is one place."""
+    every = ((turn, _number_of(turn, readings, PLACE, readings.place, places)) for turn in found)
+    return [replace(turn, place=number) for turn, number in every]
+
+
 def _with_targets(
-    found: list[_FoundTurn], readings: _RawReadings, targets: int, speeds: int
+    found: list[_FoundTurn], readings: _RawReadings, targets: int, speeds: int, places: int
 ) -> list[_FoundTurn]:
     """Return the turns with their targets: by the column, or as many for each, in their order."""
-    if readings.target is None:
-        if len(found) != targets * speeds:
+    if readings.target is not None:
+        numbers = [_number_of(t, readings, "target", readings.target, targets) for t in found]
+        return [replace(turn, target=k) for turn, k in zip(found, numbers, strict=True)]
+    here = Counter(turn.place for turn in found)
+    for place in range(places):
+        if here[place] != targets * speeds:
+            where = f" at place {place}" if places > 1 else ""
             raise DataError(
-                f"{readings.table.path}: found {len(found)} turns, expected one at each of "
-                f"{speeds} speeds for each of {targets} targets: which target was which turn of? "
-                "Add a column target"
+                f"{readings.table.path}: found {here[place]} turns{where}, expected one at each "
+                f"of {speeds} speeds for each of {targets} targets: which target was which turn "
+                "of? Add a column target"
             )
-        return [replace(turn, target=k // speeds) for k, turn in enumerate(found)]
+    before = Counter[int]()
     named = list[_FoundTurn]()
     for turn in found:
-        numbers = np.unique(readings.target[turn.rows])
-        if len(numbers) > 1 or numbers[0] >= targets:
-            raise DataError(
-                f"{readings.table.path}: the turn from {readings.time[turn.rows][0]:.6g} s on is "
-                f"of target {', '.join(map(str, numbers.tolist()))}, expected one of 0 to "
-                f"{targets - 1}"
-            )
-        named.append(replace(turn, target=int(numbers[0])))
+        named.append(replace(turn, target=before[turn.place] // speeds))
+        before[turn.place] += 1
     return named
+
+
+def _number_of(
+    turn: _FoundTurn, readings: _RawReadings, what: str, column: Ints, count: int
+) -> int:
+    """Return the number in a ``column`` (n,) that all readings of a ``turn`` have."""
+    numbers = np.unique(column[turn.rows])
+    if len(numbers) > 1 or numbers[0] >= count:
+        raise DataError(
+            f"{readings.table.path}: the turn from {readings.time[turn.rows][0]:.6g} s on is of "
+            f"{what} {', '.join(map(str, numbers.tolist()))}, expected one of 0 to {count - 1}"
+        )
+    return int(numbers[0])
 
 
 def _observed(

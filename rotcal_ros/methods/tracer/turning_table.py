@@ -2,12 +2,13 @@
 
 ``direction`` is 1 for growing angles and -1 for the way back; a last column ``time_s`` tells when
 each length was read. Angles and speeds are those of the rows, so a set-up need not state them. A
-turn begins with another target or direction, and where an angle comes again.
+turn begins with another target or direction, and where an angle comes again. Where the tracer
+stands at several places of the table, a first column ``place`` numbers them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Final
@@ -28,12 +29,12 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.measurements import TIME, PlannedMeasurements, read_at
 from rotcal_ros.methods.tracer.lengths import LengthCheck
-from rotcal_ros.methods.tracer.plan import check_plan, turning_plan
-from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.table_angles import ANGLE_SETTINGS, table_angles
 
-_COLUMNS: Final = ("angle_deg", "target", "direction", "length_m")
-HEADERS: Final[tuple[Header, ...]] = (_COLUMNS, (*_COLUMNS, TIME))
+PLACE: Final = "place"
+_LENGTHS: Final = ("angle_deg", "target", "direction", "length_m")
+_READINGS: Final = (TIME, "angle_deg", "length_m")
 SENSES: Final = {"1": 1.0, "+1": 1.0, "+": 1.0, "-1": -1.0, "-": -1.0}
 SAME_DEG: Final = 1e-6
 """Angles that differ by less are one."""
@@ -43,10 +44,56 @@ AS_STATED: Final = 0.2
 """Share by which a table may turn faster or slower than stated."""
 
 
+@dataclass(frozen=True)
+class TurningTables:
+    """The tables of a method whose table turned, and the plan that they are of.
+
+    ``plan`` makes it, checked, of a configuration and the targets (m); to the configuration's own
+    without. ``places``: the tracer stands at several, which are the stations of steps, and table
+    positions count on from speed to speed; else stations are the speeds.
+    """
+
+    plan: Callable[[Configuration, tuple[Point, ...]], Plan]
+    places: bool = False
+
+    @property
+    def lengths(self) -> tuple[Header, ...]:
+        """The headers of tables of lengths."""
+        columns = (PLACE,) * self.places + _LENGTHS
+        return columns, (*columns, TIME)
+
+    @property
+    def readings(self) -> tuple[Header, ...]:
+        """The headers of tables of readings."""
+        columns = _READINGS + (PLACE,) * self.places
+        return columns, (*columns, "target")
+
+    @property
+    def headers(self) -> tuple[Header, ...]:
+        """The headers of all of them."""
+        return *self.lengths, *self.readings
+
+    def steps(self, plan: Plan) -> dict[tuple[int, int, int, int], Step]:
+        """Return the steps that turns of a ``plan`` pass, by place, run, angle and target."""
+        count, found = len(plan.distinct_angles), dict[tuple[int, int, int, int], Step]()
+        for step in plan.steps:
+            place, run, angle = 0, step.station, step.table_position
+            if self.places:
+                place, (run, angle) = step.station, divmod(step.table_position, count)
+            if step.turn is not None:
+                found[place, run, angle, step.target] = step
+        return found
+
+    def count(self, plan: Plan) -> int:
+        """Return at how many places the tracer stands."""
+        return 1 + max(step.station for step in plan.steps) if self.places else 1
+
+
 @dataclass(frozen=True, eq=False)
 class _Turn:
     """Rows of one unbroken turn, in the order of the table; ``speed`` in deg/s, 0: not known."""
 
+    place: int
     target: int
     sense: float
     rows: tuple[Row, ...]
@@ -70,7 +117,7 @@ class _Turn:
 
 
 def read(
-    configuration: Configuration, table: Table, targets: tuple[Point, ...]
+    form: TurningTables, configuration: Configuration, table: Table, targets: tuple[Point, ...]
 ) -> PlannedMeasurements:
     """Return the lengths of the turns in a ``table``, to ``targets``; those of the plan without.
 
@@ -82,19 +129,21 @@ def read(
     angles = every[np.append(True, np.diff(every) > SAME_DEG)]
     _require_stated(configuration, angles, table)
     speeds = configuration.plan.turning_deg_s or _speeds(table, turns)
-    calibration = planned(configuration, angles, speeds, targets)
-    passed = (step for step in calibration.plan.steps if step.turn is not None)
-    steps = {(s.station, s.table_position, s.target): s for s in passed}
+    calibration = planned(form, configuration, angles, speeds, targets)
+    steps, places = form.steps(calibration.plan), form.count(calibration.plan)
     check, observations = LengthCheck(calibration.plan), list[Observation]()
     for number, turn in enumerate(turns):
         run = run_of(turn.sense, turn.speed, turn.rows[0].place, speeds)
         for row, angle in zip(turn.rows, turn.angles_deg.tolist(), strict=True):
             position = int(np.abs(angles - angle).argmin())
-            step = steps.get((run, position, turn.target))
+            step = steps.get((turn.place, run, position, turn.target))
             if step is None:
+                where = (
+                    (f"place {turn.place}, ", f" at {places} places") if form.places else ("", "")
+                )
                 raise DataError(
-                    f"{row.place}: target {turn.target} is not one of the "
-                    f"{len(calibration.plan.targets)} targets of {configuration.source}"
+                    f"{row.place}: {where[0]}target {turn.target} is not one of the "
+                    f"{len(calibration.plan.targets)} targets{where[1]} of {configuration.source}"
                 )
             read = step.observed((row.metres("length_m"),))
             observation = check(replace(read_at(row, read), segment=number))
@@ -107,22 +156,22 @@ def read(
 def _turns(table: Table) -> list[_Turn]:
     """Return the turns of a table, in their order."""
 
-    def kind(row: Row) -> tuple[int, float]:
+    def kind(row: Row) -> tuple[int, int, float]:
         sense = SENSES.get(row.cells["direction"])
         if sense is None:
             raise DataError(
                 f"{row.place}: direction must be 1 (angles grow) or -1 (back), found "
                 f"{row.cells['direction']!r}: correct the row"
             )
-        return row.index("target"), sense
+        return row.index(PLACE) if PLACE in table.header else 0, row.index("target"), sense
 
     found = list[_Turn]()
-    for (target, sense), group in groupby(table.rows(), kind):
+    for (place, target, sense), group in groupby(table.rows(), kind):
         rows = list(group)
         along = sense * np.array([row.number("angle_deg") for row in rows])
         ends = [*(np.flatnonzero(np.diff(along) <= SAME_DEG) + 1).tolist(), len(rows)]
         for begin, end in zip([0, *ends[:-1]], ends, strict=True):
-            found.append(_Turn(target, sense, tuple(rows[begin:end])))
+            found.append(_Turn(place, target, sense, tuple(rows[begin:end])))
     if not found:
         raise DataError(f"{table.path}: the table has no rows: nothing was measured")
     short = [turn for turn in found if len(turn.rows) == 1]
@@ -203,6 +252,7 @@ def _require_stated(configuration: Configuration, angles: Floats, table: Table) 
 
 
 def planned(
+    form: TurningTables,
     configuration: Configuration,
     angles_deg: Floats,
     speeds: tuple[float, ...],
@@ -215,6 +265,4 @@ def planned(
     plan["turning_deg_s"] = [round(v, 9) for v in speeds]
     text = replaced(configuration, "plan", plan)
     configuration = parse_configuration(text, configuration.source)
-    calibration = Calibration(configuration, turning_plan(configuration.plan, targets))
-    check_plan(configuration.solver, calibration.plan, turning=True)
-    return calibration
+    return Calibration(configuration, form.plan(configuration, targets))

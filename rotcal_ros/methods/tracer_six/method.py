@@ -8,7 +8,7 @@ column ``segment`` numbers the unbroken beams from a place, without it each has 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -21,12 +21,13 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Header, Table
-from rotcal_ros.foundation.units import MILLIMETRE
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.arrivals import (
     Arrivals,
     RepeatedTrials,
     arrivals_of,
+    arrivals_of_turns,
     mean_of_arrivals,
     mean_of_runs,
 )
@@ -36,11 +37,13 @@ from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
     read_from,
+    segments_of,
     times_before,
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
-from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
+from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths, read_turns
+from rotcal_ros.methods.tracer.turning_table import TurningTables
 from rotcal_ros.methods.tracer_six.plan import (
     LOCATING,
     check_plan,
@@ -48,6 +51,8 @@ from rotcal_ros.methods.tracer_six.plan import (
     places_of,
     plan,
     plan_of,
+    six_plan,
+    tilt_known,
 )
 from rotcal_ros.methods.tracer_six.settings import (
     SixPlanSettings,
@@ -64,7 +69,8 @@ from rotcal_ros.methods.tracer_six.solver.solve import (
     curve_model,
     result_of,
 )
-from rotcal_ros.planning.plan import Plan
+from rotcal_ros.methods.turning import require_turns
+from rotcal_ros.planning.plan import Plan, Point
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
@@ -80,45 +86,48 @@ HEADERS: Final[tuple[Header, ...]] = (
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of a plan.
 
-    Those of both directions become one curve over the distinct angles:
-    :mod:`rotcal_ros.methods.arrivals`.
+    Those of both directions, or of all speeds at which the table turned, become one curve over the
+    distinct angles: :mod:`rotcal_ros.methods.arrivals`.
     """
-    solution = adjust(problem(configuration, plan, observations))
+    solution, arrivals = _solved(configuration, plan, observations)
     result = result_of(solution)
-    if not configuration.plan.bidirectional:
-        return result
-    return mean_of_runs(result, _both_sides(plan, solution), from_first=False)
+    return result if arrivals is None else mean_of_runs(result, arrivals, from_first=False)
 
 
 def model_of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
     """Return what the lengths determine of the curves, to be solved with other instruments."""
-    solution = adjust(problem(configuration, plan, observations))
+    solution, arrivals = _solved(configuration, plan, observations)
     found = curve_model(solution)
-    if not configuration.plan.bidirectional:
-        return found
-    return mean_of_arrivals(found, _both_sides(plan, solution))
+    return found if arrivals is None else mean_of_arrivals(found, arrivals)
 
 
 def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    solution = adjust(problem(configuration, plan, observations))
-    if not configuration.plan.bidirectional:
+    solution, arrivals = _solved(configuration, plan, observations)
+    if arrivals is None:
         return solution.trials
-    result, arrivals = result_of(solution), _both_sides(plan, solution)
-    return RepeatedTrials.of(solution.trials, result, arrivals, from_first=False)
+    return RepeatedTrials.of(solution.trials, result_of(solution), arrivals, from_first=False)
 
 
-def _both_sides(plan: Plan, solution: SixSolution) -> Arrivals:
-    """Return the arrivals of the solved positions of a plan that measures both directions."""
-    return _every(plan).take(solution.positions)
+def _solved(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[SixSolution, Arrivals | None]:
+    """Return the solution, and the arrivals of its positions where angles come again."""
+    solution = adjust(problem(configuration, plan, observations))
+    arrivals = _arrivals(configuration, plan)
+    return solution, None if arrivals is None else arrivals.take(solution.positions)
 
 
-def _every(plan: Plan) -> Arrivals:
-    """Return the arrivals of all positions of such a plan."""
+def _arrivals(configuration: Configuration, plan: Plan) -> Arrivals | None:
+    """Return the arrivals of all positions of a plan that comes to its angles more than once."""
+    if speeds := configuration.plan.turning_deg_s:
+        return arrivals_of_turns(plan.distinct_angles, speeds)
+    if not configuration.plan.bidirectional:
+        return None
     return arrivals_of(plan.distinct_angles, runs=1, bidirectional=True)
 
 
@@ -127,29 +136,36 @@ def problem(
 ) -> SixProblem:
     """Return the problem that observations of a plan pose.
 
-    Where all targets are measured at one arrival, they share its scatter; else every length has
-    an arrival of its own. A run that was interrupted and taken up again may count from another
-    zero, which its lengths share.
+    Where all targets are measured at one arrival, they share its scatter; else, and where the
+    table turns past its angles, every length has an arrival of its own. A run that was interrupted
+    and taken up again may count from another zero, which its lengths share.
 
     Raises DataError when an observation does not fit the plan.
     """
     settings: TracerSixSolverSettings = configuration.solver
     places = np.array(places_of(configuration.plan))
     _require_planned(plan, places, observations)
+    columns, speeds = dict[str, Any](), np.array(configuration.plan.turning_deg_s) * DEGREE
     zero, segment = _zeros(settings.zero, observations)
-    arrival = times_before(plan)
-    shift, turn, own_std = _scatter(configuration)
+    if len(speeds):
+        position = np.array([o.table_position for o in observations], dtype=np.int64)
+        turn = position // len(plan.distinct_angles)
+        columns = {"speed": speeds[turn], "lag": settings.lag_s, "lag_std": settings.lag_std_s}
+        zero, segment = "per_segment", segments_of(observations, turn)
+    arrival, arrivals = times_before(plan), _arrivals(configuration, plan)
+    shift, turned, own_std = _scatter(configuration)
     return SixProblem(
         **length_columns(settings, plan, observations, own_std),
         place=np.array([o.station for o in observations], dtype=np.int64),
-        upward=_every(plan).upward if configuration.plan.bidirectional else None,
+        **columns,
+        upward=None if arrivals is None else arrivals.upward,
         places=places,
         place_tolerance=configuration.plan.place_tolerance_m,
         datum=settings.datum,
         zero=zero,
         segment=segment,
         scatter_translation_std=shift,
-        scatter_rotation_std=turn,
+        scatter_rotation_std=turned,
         arrival=np.array(
             [arrival[o.step] + len(plan.steps) * o.run for o in observations], dtype=np.int64
         ),
@@ -161,11 +177,12 @@ def problem(
 def _scatter(configuration: Configuration) -> tuple[float | None, float | None, float]:
     """Return the scatter of an arrival (m, rad) for the solver, and what joins a length (m).
 
-    Where the table arrives anew for every length, its scatter is noise of the lengths.
+    Where the table arrives anew for every length, or passes, its scatter is noise of the lengths.
     """
     settings: TracerSixSolverSettings = configuration.solver
     shift, turn = settings.scatter_translation_std_m, settings.scatter_rotation_std_rad
-    if configuration.plan.order == TARGETS_PER_STATION:
+    stops = not configuration.plan.turning_deg_s
+    if stops and configuration.plan.order == TARGETS_PER_STATION:
         return shift, turn, 0.0
     arm = np.linalg.norm(places_of(configuration.plan), axis=1).max()
     return 0.0, 0.0, float(np.hypot(shift or 0.0, arm * (turn or 0.0)))
@@ -211,9 +228,10 @@ def check(
     """Return in words how far the newest place is from where the plan has it, if too far.
 
     Only the lengths at the first angle of that place are looked at, with targets and table as the
-    plan has them: what matters here are millimetres.
+    plan has them: what matters here are millimetres. A turn counts from a zero of its own, and
+    shows nothing before others follow.
     """
-    if not observations:
+    if not observations or configuration.plan.turning_deg_s:
         return ()
     number = max(o.station for o in observations)
     here = [o for o in observations if o.station == number]
@@ -248,8 +266,11 @@ def _located(plan: Plan, observations: Sequence[Observation], planned: Floats) -
 def read(configuration: Configuration, table: Table, targets: Table | None) -> PlannedMeasurements:
     """Return lengths by place, table position and target; a table shows no scatter.
 
-    What the plan measures several times may stand in the table as often, in the order of time.
+    What the plan measures several times may stand in the table as often, in the order of time. A
+    table of turns states angles and directions instead.
     """
+    if table.header in TURNS.headers:
+        return read_turns(TURNS, configuration, table, targets)
     return read_lengths(
         configuration,
         table,
@@ -265,6 +286,22 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
     return read_from(places_of(configuration.plan), dead_distance)
 
 
+def _check_plan(configuration: Configuration, plan: Plan) -> None:
+    """Raise PlanError for a plan that could never be solved, or never be carried out."""
+    turning = bool(configuration.plan.turning_deg_s)
+    check_plan(plan, turning=turning)
+    if turning:
+        require_turns(configuration, plan)
+
+
+def _plan_of_turns(configuration: Configuration, targets: tuple[Point, ...]) -> Plan:
+    """Return the plan of turns that a table holds; to its own targets without ``targets``."""
+    planned = six_plan(configuration.plan, targets, tilt_known=tilt_known(configuration))
+    check_plan(planned, turning=True)
+    return planned
+
+
+TURNS: Final = TurningTables(_plan_of_turns, places=True)
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer at several places: six deviations",
@@ -277,7 +314,7 @@ METHOD: Final = Method(
         "rotcal_ros.methods.tracer_six.simulation:CarriedTracer"
     ),
     plan=plan,
-    check_plan=check_plan,
+    check_plan=_check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=solve,
     model_of_curves=model_of_curves,
@@ -287,7 +324,7 @@ METHOD: Final = Method(
     nominal=nominal,
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
-    table=TableReader(HEADERS, read, COLUMNS, TARGETS, runs="arrivals"),
+    table=TableReader(HEADERS, read, COLUMNS, TARGETS, runs="arrivals", with_angles=TURNS.headers),
     figures=plugins.lazy_load("rotcal_ros.methods.tracer_six.figures:figures"),
     tables=plugins.lazy_load("rotcal_ros.methods.tracer_six.figures:tables"),
     zero=gauge.describe,

@@ -8,6 +8,7 @@ six deviations, or do not: those in a line lose one (:func:`_require_six`).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import chain, product
 from typing import Final
 
@@ -18,7 +19,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.tracer.plan import targets_of
+from rotcal_ros.methods.tracer.plan import targets_of, turning_steps
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD
@@ -37,6 +38,8 @@ from rotcal_ros.planning.table_angles import planned_arrivals, table_angles
 
 LOCATING: Final = 6
 """Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""
+LEAST_TURNS: Final = 4
+"""Targets of a table that turns: 12 lengths at an angle from three places, for 6 unknowns."""
 LEAST_ANGLES: Final = 3
 """Below it what turns with the table is not separated from what stands still."""
 LEAST_PLACES: Final = 3
@@ -48,20 +51,30 @@ _UPRIGHT: Final = 0.7
 def plan(configuration: Configuration) -> Plan:
     """Return the plan of a configuration; PlanError where its places lose a deviation."""
     try:
-        return six_plan(
-            configuration.plan, tilt_known=configuration.solver.tilt_std_rad is not None
-        )
+        return six_plan(configuration.plan, tilt_known=tilt_known(configuration))
     except PlanError as error:
         raise PlanError(f"{configuration.source}: {error}") from error
 
 
-def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
-    """Return the plan of one calibration.
+def tilt_known(configuration: Configuration) -> bool:
+    """Return whether the tilts of the table are stated."""
+    return configuration.solver.tilt_std_rad is not None
+
+
+def six_plan(
+    settings: SixPlanSettings, targets: tuple[Point, ...] = (), *, tilt_known: bool = False
+) -> Plan:
+    """Return the plan of one calibration; ``targets``: in place of the plan's.
 
     ``Step.station`` is the number of the place. Raises PlanError for places that lose a deviation
     at every angle, unless it is a tilt and ``tilt_known`` beforehand, and for several arrivals in
     an order that cannot keep them apart.
     """
+    if settings.turning_deg_s and (settings.bidirectional or settings.arrivals > 1):
+        raise PlanError(
+            "plan: turning_deg_s measures every target in a whole turn at each speed: leave out "
+            "bidirectional and arrivals; speeds of both signs measure both directions"
+        )
     if settings.arrivals > 1 and settings.order != TARGETS_PER_STATION:
         raise PlanError(
             f"plan: several arrivals need the order {TARGETS_PER_STATION}: with {settings.order} "
@@ -70,7 +83,7 @@ def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
         )
     places = places_of(settings)
     _require_six(places, tilt_known=tilt_known)
-    return plan_of(settings, targets_of(settings))
+    return plan_of(settings, targets or targets_of(settings))
 
 
 def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
@@ -79,6 +92,8 @@ def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
     With ``bidirectional`` table position 2 n - 1 - i stands at the angle of position i, reached
     from above.
     """
+    if settings.turning_deg_s:
+        return _turning_plan(settings, targets)
     distinct, places = table_angles(settings), places_of(settings)
     every = planned_arrivals(len(distinct), runs=1, bidirectional=settings.bidirectional)
     angles = tuple(distinct[visit.target] for visit in every)
@@ -101,6 +116,36 @@ def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
     return Plan(METHOD, angles, targets, steps, pauses)
 
 
+def _turning_plan(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
+    """Return the plan of a table that turns at every place once at each speed for each target.
+
+    Table position r n + i is passed at the angle of number i in the run r, at the speed r. Each
+    turn counts from a zero of its own, so that no single one shows where the tracer stands.
+    """
+    angles, places = table_angles(settings), places_of(settings)
+    once = turning_steps(settings, angles, targets)
+    steps = tuple(
+        replace(
+            step,
+            index=place * len(once) + step.index,
+            station=place,
+            table_position=step.station * len(angles) + step.table_position,
+        )
+        for place, step in product(range(len(places)), once)
+    )
+    pauses = tuple(
+        Pause(
+            first := number * len(once),
+            first - 1,
+            _instruction(number, places, len(targets), len(angles)),
+            move=OperatorMove("tracer", number, places[number], TABLE_FRAME),
+        )
+        for number in range(len(places))
+    )
+    every = angles * len(settings.turning_deg_s)
+    return Plan(METHOD, every, targets, steps, pauses)
+
+
 def places_of(settings: SixPlanSettings) -> tuple[Point, ...]:
     """Return the places of the tracer (m), table frame at angle 0."""
     if settings.places_m:
@@ -114,15 +159,22 @@ def places_of(settings: SixPlanSettings) -> tuple[Point, ...]:
     )
 
 
-def check_plan(_configuration: Configuration, planned: Plan) -> None:
-    """Raise PlanError for a plan whose lengths could never be solved."""
+def check_plan(planned: Plan, *, turning: bool = False) -> None:
+    """Raise PlanError for a plan whose lengths could never be solved.
+
+    A table that is ``turning`` has a zero for each turn.
+    """
     n = len(planned.targets)
     if (apart := len(set(planned.targets))) < n:
         raise PlanError(
             f"{n} targets at {apart} places: box_size_m is 0 where box_points are more; give a "
             "size"
         )
-    if n < LOCATING:
+    if turning and n < LEAST_TURNS:
+        raise PlanError(
+            f"{n} targets: every turn counts from a zero of its own; give at least {LEAST_TURNS}"
+        )
+    if not turning and n < LOCATING:
         raise PlanError(
             f"{n} targets: a place and its zero are 4 unknowns, and every target has errors of "
             f"its own; give at least {LOCATING}"

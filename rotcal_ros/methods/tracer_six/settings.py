@@ -10,11 +10,11 @@ from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.tracer.settings import (
     STATIONS_PER_TARGET,
     TARGETS_PER_STATION,
-    BlockSettings,
     Datum,
     LengthNoiseSettings,
     LengthsSimulationSettings,
     SimulatedReadingsSettings,
+    TurningBlockSettings,
 )
 
 
@@ -50,7 +50,7 @@ class SixSimulationSettings(LengthsSimulationSettings):
 
 
 @dataclass(frozen=True)
-class SixPlanSettings(BlockSettings):
+class SixPlanSettings(TurningBlockSettings):
     """Where the tracer stands on the table, where the table turns, where the reflector goes.
 
     Several tracers at once are not planned for: one goes from place to place.

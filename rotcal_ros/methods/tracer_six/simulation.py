@@ -63,7 +63,8 @@ class CarriedTracer(TracerAndReflector):
     """The tracer stands where the order's station says, missed by a little at each mounting.
 
     An order for another place, or for a step that was left behind already, comes after a new
-    mounting: the person has fixed the tracer anew, and its zero is another one.
+    mounting: the person has fixed the tracer anew, and its zero is another one. Turns are made
+    again without one.
     """
 
     def __init__(
@@ -81,10 +82,13 @@ class CarriedTracer(TracerAndReflector):
         self._mountings: dict[int, int] = {}
         self._place, self._step = -1, -1
         self._done: set[int] = set()
+        self._turns = False
 
     def order(self, now_ns: int, command: Command) -> None:
         """Go to the position of ``command``, the tracer being at the place of its station."""
-        left_behind = command.step in self._done and command.step != self._step
+        self._turns = self._turns or command.turn is not None
+        again = command.step in self._done and command.step != self._step
+        left_behind = again and not self._turns
         if command.station != self._place or left_behind:
             self._fix(command.station)
         self._step = command.step

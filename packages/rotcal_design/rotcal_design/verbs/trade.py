@@ -330,9 +330,15 @@ def turning(
     )
     need = need_arcsec * ARCSEC
     fewest = next((row for row in rows if not row.stands and row.expanded <= need), None)
-    note = f"no turns of so many targets reach {need_arcsec:g} arcsec"
+    note, all_six = f"no turns of so many targets reach {need_arcsec:g} arcsec", list[Column]()
     if fewest is not None:
         note = f"fewest turns for U <= {need_arcsec:g} arcsec: those of {fewest.targets} targets"
+    if places := [row.place for row in rows if row.place is not None]:
+        leans = [row.lean for row in rows if row.lean is not None]
+        all_six = [
+            column_of("U(EXC EYC EZC)/um", places, MICROMETRE, ".3f"),
+            column_of("U(EAC EBC)/arcsec", leans, ARCSEC, ".3f"),
+        ]
     columns = [
         Column("table", ["stands" if row.stands else "turns" for row in rows]),
         Column("targets", [row.targets for row in rows]),
@@ -340,6 +346,7 @@ def turning(
         Column("lengths", [row.lengths for row in rows]),
         column_of("minutes", [row.seconds for row in rows], MINUTE, ".1f"),
         column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".3f"),
+        *all_six,
         Column("not tested for", ["; ".join(row.untested) for row in rows]),
     ]
     title = "tracer: a table that turns beside one that stands (U with k = 2, rms)"

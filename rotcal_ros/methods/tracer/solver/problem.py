@@ -114,6 +114,10 @@ class LengthProblem:
     ``slip``: a fringe (m) by which the counter may slip unseen where lengths share zeros, allowed
     for in the uncertainty; 0: it does not slip.
 
+    ``speed`` (k,), optional: rad/s, at which the table turned when each length was read, negative
+    back; each position is then passed at one speed. Its feedback is late by ``lag`` +-
+    ``lag_std`` (s); None: not stated (:mod:`.turning`). None: the table stood.
+
     Raises DataError for values that are not finite, indices out of range, and standard
     deviations that are not positive; ConfigurationError for unknown names.
     """
@@ -131,6 +135,9 @@ class LengthProblem:
     moved: Floats | None = None
     slip: float = _DEFAULTS.slip_m
     settings: TracerLimits = _DEFAULTS
+    speed: Floats | None = None
+    lag: float | None = None
+    lag_std: float = 0.0
 
     def __post_init__(self) -> None:
         """Check and freeze the columns."""
@@ -149,6 +156,9 @@ class LengthProblem:
         std = finite_broadcast("target_std", std, targets.shape)
         self._store("target_std", require_all(std >= 0.0, std, "target_std", "zero or more"))
         self._store_numbers("order", "segment")
+        if self.speed is not None:
+            speed = self._store("speed", finite_vector("speed", self.speed, k))
+            require_all(speed != 0.0, speed, "speed", "a table that turns")
         if self.moved is not None:
             moved = finite_matrix("moved", self.moved)
             if moved.shape != (len(self.position), 3):
@@ -267,10 +277,6 @@ class TracerProblem(LengthProblem):
     ``run`` (k,), optional: an interruption begins another run, all lengths of which count from
     another zero; a target stands elsewhere then by ``position_std`` (m).
 
-    ``speed`` (k,), optional: rad/s, at which the table turned when each length was read, negative
-    back; each position is then passed at one speed. Its feedback is late by ``lag`` +-
-    ``lag_std`` (s); None: not stated (:mod:`.turning`). None: the table stood.
-
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
     all targets lie in one plane, and show how the positions are numbered
@@ -289,9 +295,6 @@ class TracerProblem(LengthProblem):
     again: Ints | None = None
     run: Ints | None = None
     position_std: float = 0.0
-    speed: Floats | None = None
-    lag: float | None = None
-    lag_std: float = 0.0
     start_stations: Floats | None = None
 
     def __post_init__(self) -> None:
@@ -302,9 +305,6 @@ class TracerProblem(LengthProblem):
         super().__post_init__()
         self._store_numbers("again", "run")
         self._check_ties()
-        if self.speed is not None:
-            speed = self._store("speed", finite_vector("speed", self.speed, len(self.position)))
-            require_all(speed != 0.0, speed, "speed", "a table that turns")
         if self.start_stations is not None:
             start = finite_matrix("start_stations", self.start_stations)
             if len(start) != len(self.table_angles):

@@ -23,7 +23,7 @@ from rotcal_ros.foundation.results import (
     Zeros,
 )
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.tracer.solver.carried_lengths import LAG, LATER_RUN
+from rotcal_ros.methods.tracer.solver.carried_lengths import LATER_RUN
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, printed_scatter
 from rotcal_ros.methods.tracer.solver.observability import (
     Numbering,
@@ -43,7 +43,7 @@ from rotcal_ros.methods.tracer.solver.reporting import (
     target_corrections,
 )
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
-from rotcal_ros.methods.tracer.solver.turning import TurningRuns
+from rotcal_ros.methods.tracer.solver.turning import details_of_turns, remarks_of_turns
 
 CIRCLE_SHOWS: Final = noted(
     "{0:.2g} m from {1} residuals of the circle, which show its radial part; the tangential part "
@@ -232,48 +232,7 @@ def _remarks(solution: TracerSolution) -> Iterator[Phrase]:
         yield phrase(JOINED, run, steps, offset, std, apart, sigma0)
     if solution.reported is not None and solution.reported.warning:
         yield solution.reported.warning
-    if solution.problem.speed is not None:
-        yield from _remarks_of_turns(solution)
-
-
-def _remarks_of_turns(solution: TracerSolution) -> Iterator[Phrase]:
-    """Yield what a table that turned leaves open, and how its noise hangs together in time."""
-    speeds = TurningRuns.of(solution.lengths).speed
-    if solution.problem.lag is None and len(speeds) == 2 and speeds.prod() < 0.0:
-        yield phrase(
-            "the mean reversal is zero by definition: at one speed and back nothing tells it from "
-            "the lag of the table's feedback; turn at a second speed, or state solver.lag_s"
-        )
-    if solution.in_time is not None:
-        shares = {noise.independent: None for noise in solution.in_time.noise}
-        each = ", ".join(f"{100.0 * share:.0f} %" for share in shares)
-        yield phrase(
-            "the noise of the lengths is correlated from angle to angle: for what changes slowly "
-            "with it they count as {0} of their number", each
-        )  # fmt: skip
-
-
-def _of_turns(solution: TracerSolution) -> dict[str, Any]:
-    """Return, of a table that turned, speeds (r,) rad/s, noise in time, and the lag (s).
-
-    ``autoregression``: coefficients of each run, on the lengths of the angles before;
-    ``independent``: the share of them that counts for slow changes.
-    """
-    lengths, fit = solution.lengths, solution.found.fit
-    if lengths.speed is None:
-        return {}
-    unit = np.eye(1, len(fit.x), lengths.first[LAG]).T
-    variance = float(fit.kernel.times(unit)[lengths.first[LAG], 0])
-    noise = [] if solution.in_time is None else solution.in_time.noise
-    return {
-        "turning": {
-            "speeds": TurningRuns.of(lengths).speed,
-            "lag": float(fit.x[lengths.first[LAG]]),
-            "lag_std": solution.found.scale * float(np.sqrt(variance)),
-            "autoregression": [each.ahead[-1] for each in noise],
-            "independent": [each.independent for each in noise],
-        }
-    }
+    yield from remarks_of_turns(solution.lengths, solution.problem.lag, solution.in_time)
 
 
 def _joins(solution: TracerSolution) -> list[dict[str, Any]]:
@@ -353,7 +312,7 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         "returned": _returned(solution),
         **({} if solution.reported is None else {"reported_places": asdict(solution.reported)}),
         **({} if problem.run is None else {"joins": _joins(solution)}),
-        **_of_turns(solution),
+        **details_of_turns(solution.lengths, found, solution.in_time),
     }
 
 

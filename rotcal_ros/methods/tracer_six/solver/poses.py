@@ -137,6 +137,8 @@ def find_start(problem: SixProblem, layout: StationLayout) -> StartPoses:
     grid, about = layout.grid, rotation_about_z(layout.angles)
     nominal = (about[layout.position] @ layout.places[layout.place][:, :, None])[:, :, 0]
     alone = fullest_strips(grid)
+    if problem.speed is not None:  # each target counts from a zero of its own: none stands alone
+        return _as_nominal(layout, nominal)
     found = start_candidates(grid.targets, alone.length, alone.used)[:, :, :3]
     away = np.linalg.norm(found - nominal, axis=2)
     best, each = np.argmin(away, axis=0), np.arange(len(nominal))
@@ -156,6 +158,13 @@ def find_start(problem: SixProblem, layout: StationLayout) -> StartPoses:
     stands = stands + translation[layout.position]
     zeros = fit_zeros(grid, stands[grid.station])[grid.first_of_zero, 3]
     return StartPoses(rotation, translation, places, zeros)
+
+
+def _as_nominal(layout: StationLayout, nominal: Floats) -> StartPoses:
+    """Return start values of a table that moves as commanded, with ``nominal`` stations (V, 3)."""
+    grid, about = layout.grid, rotation_about_z(layout.angles)
+    zeros = fit_zeros(grid, nominal[grid.station])[grid.first_of_zero, 3]
+    return StartPoses(about, np.zeros((len(about), 3)), layout.places, zeros)
 
 
 def _poses(

@@ -110,6 +110,12 @@ class SixProblem(LengthProblem):
         return self._stations[1]
 
     @property
+    def earlier(self) -> Ints:
+        """How often the same was measured before each length (k,): the number of its arrival."""
+        arrival = np.zeros_like(self.place) if self.arrival is None else self.arrival
+        return np.unique(arrival, return_inverse=True)[1].ravel()
+
+    @property
     def counted(self) -> Ints:
         """Numbers (k,) of what shares a zero: a segment, a station or a run."""
         if self.segment is not None:
@@ -123,8 +129,11 @@ class SixProblem(LengthProblem):
 
     @property
     def station_minimum(self) -> int:
-        """How many lengths a station needs: as many as one that stands alone has unknowns."""
-        return station_minimum(own_zero=True, on_circle=False)
+        """How many lengths a station needs: as many as one that stands alone has unknowns.
+
+        The zero of a turn is known from its other angles.
+        """
+        return station_minimum(own_zero=self.speed is None, on_circle=False)
 
     def station_name(self, station: int | np.integer) -> Phrase:
         """Return what a station is, for messages."""

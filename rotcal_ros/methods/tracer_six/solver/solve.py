@@ -26,6 +26,7 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.sparse import csr_array, vstack
 
+from rotcal_ros.adjust.causes import start_diagnosis
 from rotcal_ros.adjust.closures import repeated_angles
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
@@ -53,6 +54,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KNOWN,
+    LAG,
     LARGEST_MOVE,
     LARGEST_RATIO,
     PPM,
@@ -79,6 +81,13 @@ from rotcal_ros.methods.tracer.solver.reporting import (
     segment_details,
     tangential_protection,
     target_corrections,
+)
+from rotcal_ros.methods.tracer.solver.turning import (
+    TimeCorrelatedLengths,
+    details_of_turns,
+    in_time,
+    remarks_of_turns,
+    tie_runs_of_table,
 )
 from rotcal_ros.methods.tracer_six.solver.poses import (
     Curves,
@@ -124,6 +133,8 @@ def lengths_of(problem: SixProblem, layout: StationLayout, state: StartPoses) ->
         more["lean"] = axis_lean_directions(places).shape[1]
     if not problem.scatter_translation_std == problem.scatter_rotation_std == 0.0:
         more[SCATTER] = 3 * len(layout.position)
+    if problem.speed is not None:
+        more[LAG] = 1
     found = CarriedLengths(
         observed=grid.length[strip, target],
         std=grid.length_std[strip, target],
@@ -143,6 +154,7 @@ def lengths_of(problem: SixProblem, layout: StationLayout, state: StartPoses) ->
         place_ways=null_space(_rigid(places).T, rcond=ALIKE),
         turning=(0, 1, 2),
         poses=(curves.translation, curves.rotation),
+        speed=None if problem.speed is None else problem.speed[row],
     )
     ways = _told_of_targets(found) if grid.free else None
     return replace(found, target_ways=ways, more=more)
@@ -223,6 +235,11 @@ def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
         rows = rows - np.concatenate([lean[::2], lean[1::2]]) @ lengths.rows_of("lean")
         none = np.zeros(rows.shape[0])
         model = model.with_prior("the tilts", csr_array(rows), none, problem.tilt_std)
+    if lengths.speed is not None:
+        shared = [name for name in lengths.blocks if name not in ("shift", "turn")]
+        model = tie_runs_of_table(
+            replace(model, shared=shared), lengths, problem.lag, problem.lag_std
+        )
     return _scattering(problem, lengths, model) if SCATTER in lengths.blocks else model
 
 
@@ -324,9 +341,14 @@ def effects_of(lengths: CarriedLengths) -> tuple[Disturbing, ...]:
 
 
 def _closures(problem: SixProblem, layout: StationLayout) -> list[KnownRelation]:
-    """Return what should agree where the table came to an angle again, from the same side."""
+    """Return what should agree where the table came to an angle again, from the same side.
+
+    What several turns of a table show of an angle becomes one mean, which says how they agree.
+    """
     ids, m = layout.position_ids, len(layout.angles)
-    found = []
+    found = list[KnownRelation]()
+    if problem.speed is not None:
+        return found
     for first, last in repeated_angles(
         layout.angles, None if problem.upward is None else problem.upward[ids]
     ):
@@ -374,10 +396,17 @@ class SixSolution:
     found: Adjusted
     absent: dict[int, Phrase]
     reported: ReportedPlaceWeight | None = None
+    in_time: TimeCorrelatedLengths | None = None
+
+    @property
+    def unknowns(self) -> Floats:
+        """The unknowns of the lengths, as they were solved."""
+        x = self.found.fit.x[: self.found.model.size[1]]
+        return x if self.in_time is None else np.asarray(self.in_time.places @ x)
 
     def part(self, block: str) -> Floats:
         """Return the solved unknowns of a block; of poses and points (k, 3)."""
-        return self.lengths.part(self.found.fit.x, block)
+        return self.lengths.part(self.unknowns, block)
 
     @cached_property
     def curves(self) -> Curves:
@@ -426,6 +455,10 @@ def adjust(problem: SixProblem) -> SixSolution:
 def _adjusted(problem: SixProblem) -> SixSolution:
     layout, absent = lay_out(problem)
     lengths = lengths_of(problem, layout, find_start(problem, layout))
+    if lengths.speed is not None:  # its places are but the plan's, to millimetres
+        model = model_of(problem, layout, lengths)
+        fit = start_diagnosis(model, limits_of(problem.settings)).fit
+        lengths = lengths_of(problem, layout, _standing(lengths, fit.x))
     along = along_beams(lengths, problem.moved)
 
     def solved(weight: float, left: float = 0.0) -> SixSolution:
@@ -434,11 +467,11 @@ def _adjusted(problem: SixProblem) -> SixSolution:
             observed, std = lengths.observed - weight * along, np.hypot(lengths.std, left)
             moved = replace(lengths, observed=observed, std=std)
         try:
-            found = adjusted(model_of(problem, layout, moved), limits_of(problem.settings))
+            found, noise = _solved(problem, layout, moved)
         except ObservabilityError as error:
             advice = f"{CURE}{prior_datum_advice(free=layout.grid.free)}"
             raise ObservabilityError(f"{error}: {advice}") from None
-        return SixSolution(problem, layout, moved, found, absent)
+        return SixSolution(problem, layout, moved, found, absent, in_time=noise)
 
     weight = 1.0
     if along is not None:
@@ -447,6 +480,27 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     solution = replace(solution, reported=reported)
     _check_curves(solution, problem.settings.max_station_std)
     return solution
+
+
+def _standing(lengths: CarriedLengths, x: Floats) -> StartPoses:
+    """Return the poses, places and zeros at the unknowns ``x``, as start values."""
+    turned = rotation_from_vector(lengths.part(x, "turn")) @ rotation_about_z(lengths.angles)
+    return StartPoses(
+        lengths.axes @ turned,
+        lengths.origin + lengths.part(x, "shift") @ lengths.axes.T,
+        lengths.places + lengths.part(x, "place"),
+        lengths.zeros + lengths.part(x, "zero"),
+    )
+
+
+def _solved(
+    problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
+) -> tuple[Adjusted, TimeCorrelatedLengths | None]:
+    """Return the solution, and the noise in time of a table that turned."""
+    model, limits = model_of(problem, layout, lengths), limits_of(problem.settings)
+    if lengths.speed is None:
+        return adjusted(model, limits), None
+    return in_time(start_diagnosis(model, limits), lengths, problem.earlier[lengths.row], limits)
 
 
 def _check_curves(solution: SixSolution, limit: float) -> None:
@@ -495,6 +549,7 @@ def result_of(solution: SixSolution) -> Result:
         further=False,
     )
     verdict, warnings = upward.judged(*numbering.judged(plain.verdict, plain.warnings))
+    warnings = (*warnings, *remarks_of_turns(lengths, problem.lag, solution.in_time))
     if reported is not None and reported.warning:
         warnings = (*warnings, reported.warning)
 
@@ -577,6 +632,15 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
                     "stated; {0} contrasts between the places show more of it", sizes.contrasts
                 ),
             )
+    if problem.speed is not None:
+        yield Protection(
+            "repeatability",
+            "tested",
+            phrase(
+                "the table passes each angle once for every target and place: what it does not "
+                "repeat joins the scatter of the lengths"
+            ),
+        )
     radius = float(np.hypot(*solution.places[:, :2].T).mean())
     yield tangential_protection(
         radius,
@@ -641,6 +705,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "coverage_factor": HALF_OF_95_PERCENT,
         "covariance_scale": found.scale,
         **({} if reported is None else {"reported_places": asdict(reported)}),
+        **details_of_turns(lengths, found, solution.in_time),
     }
 
 
@@ -665,7 +730,7 @@ class SteepestBeams:
     def of(cls, solution: SixSolution) -> SteepestBeams:
         """Return that of all lengths that were used, in the stated frame."""
         lengths = solution.lengths
-        beam = solution.targets[lengths.target] - lengths.stands(solution.found.fit.x)[0]
+        beam = solution.targets[lengths.target] - lengths.stands(solution.unknowns)[0]
         rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[_used(solution)]
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))
 
