@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from rotcal_history.adding import AT_ONCE
-from rotcal_history.database import ParkHistory, packed
-from rotcal_history.outlook import outlook_of, park
+from rotcal_history.database import ParkHistory, float64_bytes
+from rotcal_history.outlook import all_outlooks, axis_outlook
 from rotcal_history.page import write_park
 from rotcal_history.settings import HistorySettings
 from rotcal_ros.foundation.circumstances import Circumstances
@@ -92,11 +92,11 @@ def rows() -> Iterator[Row]:
             yield timed("add", RESULTS, lambda: add_all(history))
             size = path.stat().st_size / RESULTS
             item = history.items()[0]
-            trend = timed("trend of a table", 1, lambda: outlook_of(history, item, settings))
+            trend = timed("trend of a table", 1, lambda: axis_outlook(history, item, settings))
             yield trend
-            yield timed("first list of the park", TABLES, lambda: park(history, settings))
-            yield timed("list of the park", TABLES, lambda: park(history, settings), size)
-            seen, today = park(history, settings), "2026-03-31"
+            yield timed("first list of the park", TABLES, lambda: all_outlooks(history, settings))
+            yield timed("list of the park", TABLES, lambda: all_outlooks(history, settings), size)
+            seen, today = all_outlooks(history, settings), "2026-03-31"
             yield timed(
                 "page of the park", TABLES, lambda: write_park(history, seen, Path(folder), today)
             )
@@ -106,7 +106,7 @@ def arrays() -> Iterator[Row]:
     """Yield how long it takes to read a curve of 36 angles with its covariance, and its size."""
     rng = np.random.default_rng(2)
     whole = rng.standard_normal(36 + 36 + 36 * 36)
-    data, times = packed(whole), 500
+    data, times = float64_bytes(whole), 500
     table = pa.table({"x": whole})
     file, sink = io.BytesIO(), pa.BufferOutputStream()
     parquet.write_table(table, file, compression="zstd")

@@ -25,8 +25,8 @@ from rosbags.typesys import Stores, get_typestore
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "bags"))
 from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate, writer_settings
 
-from rotcal_history.fleet.batch_solving import Job
-from rotcal_history.fleet.workers import on_all_cores
+from rotcal_history.fleet.batch_solving import BagJob
+from rotcal_history.fleet.workers import run_on_cores
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.settings import WriterSettings
@@ -219,9 +219,9 @@ def many(folder: Path) -> Iterator[Row]:
         for number in range(BAGS):
             cache = folder / f"cache_{workers}_{number}"  # else the first result would do for all
             cache.mkdir()
-            jobs.append(Job(str(folder / str(number) / "bag"), configuration, str(cache)))
+            jobs.append(BagJob(str(folder / str(number) / "bag"), configuration, str(cache)))
         begin = time.perf_counter()
-        outcomes = list(on_all_cores(jobs, workers))
+        outcomes = list(run_on_cores(jobs, workers))
         seconds[workers] = time.perf_counter() - begin
         assert not any(outcome.error or outcome.cached for outcome in outcomes), outcomes[0].error
         yield row(

@@ -26,13 +26,13 @@ sys.path.insert(0, str(ROOT / "packages" / "rotcal_history" / "test" / "fleet"))
 from fleet_bags import configuration_text, write_bag  # noqa: E402
 
 from rotcal_history.database import ParkHistory, result_of  # noqa: E402
-from rotcal_history.fleet.batch_solving import Job  # noqa: E402
-from rotcal_history.fleet.workers import on_all_cores  # noqa: E402
+from rotcal_history.fleet.batch_solving import BagJob  # noqa: E402
+from rotcal_history.fleet.workers import run_on_cores  # noqa: E402
 from rotcal_ros.methods.configuration import parse_configuration  # noqa: E402
 
 TABLES = 50
 FUTURE = 100_000
-SOLVER = on_all_cores.__module__
+SOLVER = run_on_cores.__module__
 """What the command of a process that solves names."""
 
 
@@ -145,10 +145,10 @@ def lost(output: Path, configuration, compare: int) -> dict:
     with ParkHistory(str(output / "history.db")) as history, TemporaryDirectory() as cache:
         entries = {entry.why: entry.id for entry in history.entries()}
         chosen = random.Random(2).sample(sorted(entries), min(compare, len(entries)))
-        jobs = [Job(source, configuration, cache) for source in chosen]
+        jobs = [BagJob(source, configuration, cache) for source in chosen]
         different = [
             outcome.source
-            for outcome in on_all_cores(jobs, 2)
+            for outcome in run_on_cores(jobs, 2)
             if result_of(history.entry(entries[outcome.source])).to_dict() != outcome.result
         ]
         wrong = history.check()
@@ -170,8 +170,8 @@ def ratio(folder: Path, bags: int, rounds: int = 3) -> dict:
         for workers, taken in seconds.items():
             with TemporaryDirectory() as cache:
                 begin = time.monotonic()
-                jobs = [Job(source, configuration, cache) for source in sources]
-                assert not any(outcome.error for outcome in on_all_cores(jobs, workers))
+                jobs = [BagJob(source, configuration, cache) for source in sources]
+                assert not any(outcome.error for outcome in run_on_cores(jobs, workers))
                 taken.append(time.monotonic() - begin)
     ratios = [one / two for one, two in zip(seconds[1], seconds[2], strict=True)]
     return {"bags": bags, "seconds": seconds, "two_against_one": statistics.median(ratios)}

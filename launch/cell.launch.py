@@ -21,8 +21,8 @@ from rotcal_ros.methods.configuration import SIMULATION, node_parameters
 from rotcal_ros.nodes.adapters.machine_nodes import (
     AS_CONFIGURED,
     OWN,
-    able,
     machine_nodes,
+    nodes_for_role,
 )
 
 CLOSING_S = "25"
@@ -148,14 +148,14 @@ def machine_arguments():
             "Which node turns the table. as_configured: one whose group the configuration has, "
             "such as table_adapter, else none; own: a node of yours; table_adapter: a joint of "
             "ros2_control; linuxcnc_driver: a rotary axis of LinuxCNC; others belong to packages.",
-            choices=[AS_CONFIGURED, OWN, *able("table")],
+            choices=[AS_CONFIGURED, OWN, *nodes_for_role("table")],
         ),
         argument(
             "probe",
             AS_CONFIGURED,
             "Which node moves the probe or reflector. as_configured: one whose group the "
             "configuration has, else none; own: a node of yours; others belong to packages.",
-            choices=[AS_CONFIGURED, OWN, *able("probe")],
+            choices=[AS_CONFIGURED, OWN, *nodes_for_role("probe")],
         ),
         argument("linuxcnc_ini", "", "linuxcnc_driver: ini file of LinuxCNC."),
         argument(

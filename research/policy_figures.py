@@ -27,7 +27,7 @@ from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, StatedResult
 from rotcal_ros.methods.tracer.policy.information import Scene
 from rotcal_ros.methods.tracer.policy.sequence import SequenceForecast
@@ -38,7 +38,7 @@ from rotcal_ros.methods.tracer.policy.until_goal import (
     first_sweep,
 )
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.planning.choices import Standing, StepOutcome
+from rotcal_ros.planning.choices import PolicyProgress, StepOutcome
 from rotcal_ros.planning.plan import Plan, Step
 
 MOUNT = np.array([0.0569, -0.0318, 0.1225])
@@ -53,7 +53,7 @@ TRUE = (0.5, 1.0, 1.5, 2.0)
 def candidates(spacing: float) -> tuple[tuple[float, float, float], ...]:
     """Return targets (m) of the volume, seen 10 degrees up and from 0.25 m on."""
     box = [np.arange(a, b + 1e-9, spacing) for a, b in ((-0.6, 0.6), (-0.5, 0.5), (0.17, 1.02))]
-    stations = on_table(MOUNT, ANGLES)
+    stations = positions_on_table(MOUNT, ANGLES)
     kept = []
     for place in product(*box):
         apart = np.array(place) - stations
@@ -75,7 +75,7 @@ def experiment(
     )
     plan = Plan("tracer_multistation", tuple(ANGLES.tolist()), targets, steps)
     scene = Scene(
-        on_table(MOUNT, ANGLES), ANGLES, np.array(targets), TARGET_STD, PLANNED_STD,
+        positions_on_table(MOUNT, ANGLES), ANGLES, np.array(targets), TARGET_STD, PLANNED_STD,
         error_motion_std=error_motion,
     )  # fmt: skip
     solved = partial(stated, plan, per_segment, error_motion)
@@ -113,15 +113,15 @@ def result_of(
         order=np.argsort(np.argsort([o.window_end_ns for o in last])),
         segment=np.array([o.segment for o in last]) if per_segment else None,
         error_motion_std=error_motion,
-        start_stations=on_table(MOUNT, ANGLES),
+        start_stations=positions_on_table(MOUNT, ANGLES),
     ))  # fmt: skip
 
 
 class Quick(UntilGoal):
     """The policy; where it stands is asked at the end only, which takes most of the time."""
 
-    def _standing(self) -> Standing:
-        return Standing(len(self._queue)) if self._queue else super()._standing()
+    def _standing(self) -> PolicyProgress:
+        return PolicyProgress(len(self._queue)) if self._queue else super()._standing()
 
 
 class Cell:
@@ -140,7 +140,7 @@ class Cell:
     ) -> None:
         self.of, self.rng, self.std = of, rng, std
         mount = MOUNT + 0.005 * rng.standard_normal(3)
-        self.stations = on_table(mount, ANGLES)
+        self.stations = positions_on_table(mount, ANGLES)
         nominal = np.array(of.plan.targets)
         self.targets = nominal + TARGET_STD * rng.standard_normal(nominal.shape)
         self.zeros = rng.standard_normal(len(ANGLES))

@@ -21,7 +21,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods import changed, read_configuration
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.planning.check_rule import CheckRule
@@ -38,7 +38,7 @@ def measured(plan: CheckPlan, deviation: Floats, rng: np.random.Generator) -> Me
     """Return the solver's curve of a simulated table that turns by ``deviation`` (m,) rad more."""
     solver = plan.configuration.solver
     mount = plan.configuration.simulation.tracer.mount_m
-    stations = on_table(mount, plan.angles + deviation)
+    stations = positions_on_table(mount, plan.angles + deviation)
     stations[:, :2] += solver.error_motion_std_m * rng.standard_normal((len(stations), 2))
     targets = plan.targets + solver.target_std_m * rng.standard_normal(plan.targets.shape)
     position, target = plan.pairs.T

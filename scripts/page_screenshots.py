@@ -24,7 +24,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.sessions.running import RunningSession, running
+from rotcal_ros.sessions.running import RunningSession, run_processes
 from rotcal_ros.sessions.session import Session, prepare_session
 
 ROOT = Path(__file__).parents[1]
@@ -164,7 +164,9 @@ def take(browser: Browser, name: str, shot: Shot, folder: Path) -> None:
                               changes)  # fmt: skip
     width, height = shot.size
     scheme: Any = "dark" if shot.dark else "light"
-    cell: AbstractContextManager[RunningSession] = running(replace(session, shown_by=("page",)))
+    cell: AbstractContextManager[RunningSession] = run_processes(
+        replace(session, shown_by=("page",))
+    )
     with cell as nodes:
         page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
         page.set_default_timeout(TIMEOUT_MS)

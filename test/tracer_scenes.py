@@ -4,11 +4,11 @@ from itertools import product
 
 import numpy as np
 
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.policy.information import Lengths, Scene
 
 ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))
-STATIONS = on_table((0.0569, -0.0318, 0.1225), ANGLES, (1e-4, -2e-4))
+STATIONS = positions_on_table((0.0569, -0.0318, 0.1225), ANGLES, (1e-4, -2e-4))
 BLOCK = np.array(
     list(product(*(np.linspace(*ends, 4) for ends in [(-0.225, 0.225), (-0.3, 0.3), (1.2, 1.65)])))
 )

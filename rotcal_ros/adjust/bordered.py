@@ -359,10 +359,10 @@ class BorderedKernel(Kernel):
 
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        return np.asarray(self.among_each(rows[None])[0])
+        return np.asarray(self.among_each(rows[None])[0][0])
 
-    def among_each(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         place, stacked = self._place[rows], self._stacked
         low, mine = self.low[place], place < stacked
         group, at = np.divmod(np.minimum(place, stacked - 1), self.groups.depth)
@@ -372,7 +372,7 @@ class BorderedKernel(Kernel):
         found += basis @ basis.swapaxes(1, 2) * alike
         if not mine.all():
             found += (place[:, :, None] == place[:, None]) & ~mine[:, :, None]
-        return np.asarray(found)
+        return found, np.arange(len(rows))
 
     def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank.
@@ -488,11 +488,9 @@ class BorderedKernel(Kernel):
         """
         influence, place = self._influence_on(outputs), self._place[rows]
         mine = np.flatnonzero(place < self._stacked)
-        group, at = np.divmod(place[mine], self.groups.depth)
-        basis, common = self.basis[group, at], influence.common.reshape(-1, *self.groups.own.shape)
         along = np.zeros((influence.low.shape[1], len(rows)))
         along[: len(self._signs)] = self.low[place].T
-        along[len(self._signs) :, mine] = (common[:, group] * basis).sum(axis=2)
+        along[len(self._signs) :, mine] = influence.shared[place[mine]].T
         columns = influence.lines
         begin = columns.indptr[place[mine]]
         many = columns.indptr[place[mine] + 1] - begin
@@ -586,6 +584,13 @@ class _InfluenceOfGroups:
         """What they feel of the rows (o, g d) of groups by ``own``."""
         each = np.arange(len(self.basis) + 1)
         return csc_array(self.own @ bsr_array((self.basis.swapaxes(1, 2), each[:-1], each)))
+
+    @cached_property
+    def shared(self) -> Floats:
+        """What the rows (g d, k) of groups do by ``common``."""
+        common = self.common.reshape(len(self.common), len(self.basis), -1, 1)
+        found = (self.basis @ common)[:, :, :, 0]
+        return np.ascontiguousarray(found.reshape(len(common), -1).T)
 
     def spread(self, sign: Floats) -> tuple[Floats, Floats]:
         """Return L (o, l) and M (l, l): LML' is the covariance beside that by own unknowns."""

@@ -568,15 +568,21 @@ class OrderwiseKernel(Kernel):
             return np.asarray(self.between[turn[0], turn[0]][step])
         return np.asarray(self.between[turn[:, None], turn, step])
 
-    def among_each(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         turn, place = self.turns.turn[rows], self.turns.place[rows]
         apart = (place - place[:, :1]) % self.turns.size
-        if (turn == turn[0]).all() and (apart == apart[0]).all():
-            turn, apart = turn[:1], apart[:1]  # as those of each position are
+        first, kind = np.unique(turn[:, 0], return_index=True, return_inverse=True)[1:]
+        if (turn != turn[first][kind]).any() or (apart != apart[first][kind]).any():
+            first = kind = np.arange(len(rows))  # not alike, as those of each position are
+        turn, apart = turn[first], apart[first]
+        if self.turns.size >= LARGE and turn.size <= len(self.turns.sign):
+            read = self.turns.rows_of(turn.ravel(), apart.ravel())
+            columns = self.times(read.toarray().T)
+            whole = (read @ columns).reshape(*turn.shape, *turn.shape)
+            return whole[np.arange(len(turn)), :, np.arange(len(turn))], kind
         step = (apart[:, :, None] - apart[:, None]) % self.turns.size
-        found = self.between[turn[:, :, None], turn[:, None], step]
-        return np.broadcast_to(found, (*rows.shape, rows.shape[1]))
+        return self.between[turn[:, :, None], turn[:, None], step], kind
 
     @property
     def leverage(self) -> Floats:

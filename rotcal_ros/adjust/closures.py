@@ -87,13 +87,13 @@ def repeated_angles(angles: Floats, upward: Bools | None = None) -> Iterator[tup
 class ClosureTest:
     """How a ``relation`` of outputs is kept in a ``fit``, whose uncertainties are times ``scale``.
 
-    ``dof``: degrees of freedom from which the noise was estimated.
+    ``log_std`` (c,): of the estimated noise of each component; zero of what is stated, None: all.
     """
 
     fit: Fit
     relation: KnownRelation
-    scale: float
-    dof: float
+    scale: float = 1.0
+    log_std: Floats | None = None
 
     @cached_property
     def error(self) -> Floats:
@@ -121,15 +121,29 @@ class ClosureTest:
         return np.asarray(np.sqrt(variance.sum(axis=1) + self.relation.std**2))
 
     @property
-    def probability(self) -> float:
-        """How probably chance misses it by as much."""
+    def squares(self) -> tuple[float, int]:
+        """Chi-squared of the error, and its rank q."""
         white = self._root @ self.error
-        squares, rank = float(white @ white), len(white)
+        return float(white @ white), len(white)
+
+    @property
+    def probability(self) -> float:
+        """How probably chance misses it by as much.
+
+        Where the noise was estimated by F with q / sum(tr(D^2) / dof) degrees of freedom, of each
+        component its share D (q, q) of the error's covariance and the dof of its own estimate:
+        those of few must not be taken for as sure as all together.
+        """
+        squares, rank = self.squares
         if not rank:
             return 1.0
-        if np.isinf(self.dof):
+        influence, unsure = self._root @ (self.scale * self.response), 0.0
+        for k, known in enumerate(() if self.log_std is None else self.log_std.tolist()):
+            mine = influence[:, self.fit.model.of_component == k]
+            unsure += 2.0 * known**2 * float(((mine @ mine.T) ** 2).sum())
+        if not unsure:
             return chi2_sf(squares, rank)
-        return f_sf(squares / rank, rank, self.dof)
+        return f_sf(squares / rank, rank, rank / unsure)
 
     def beside(
         self, effect: Disturbing, seen: ObservableEffect | ObservableFamily

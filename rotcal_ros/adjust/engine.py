@@ -224,11 +224,7 @@ class Adjusted:
         Degrees of freedom after Satterthwaite, from how well the factors of the noise are known. A
         component that nothing checks was not estimated: its statement stands.
         """
-        estimated = self.diagnosis.noise.estimated
-        if estimated is None:
-            return self.fit.enlargement
-        checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
-        known = np.where(checked, estimated.log_std, 0.0)
+        known = self._log_std
         if known.max(initial=0.0) < SURE:
             return self.fit.enlargement
         variance = self.fit.variance_by_component
@@ -238,6 +234,17 @@ class Adjusted:
         tail = normal_sf(COVERED)
         few = np.array([t_isf(tail, d) / COVERED if np.isfinite(d) else 1.0 for d in dof])
         return np.asarray(few * self.fit.enlargement)
+
+    @cached_property
+    def _log_std(self) -> Floats:
+        """Standard deviations (c,) of the logarithm of each estimated noise; zero: it is stated.
+
+        Or nothing checks it, or it is absent.
+        """
+        estimated = self.diagnosis.noise.estimated
+        if estimated is None:
+            return np.zeros(len(self.model.components))
+        return np.where(estimated.log_std < UNCHECKED * PRIOR, estimated.log_std, 0.0)
 
     @cached_property
     def found_effects(self) -> tuple[FoundEffect, ...]:
@@ -307,7 +314,7 @@ class Adjusted:
     def closed(self) -> tuple[ClosureTest, ...]:
         """How the outputs keep what they are known to keep."""
         each = self.model.closures
-        return tuple(ClosureTest(self.fit, known, self.scale, self.freedom) for known in each)
+        return tuple(ClosureTest(self.fit, known, self.scale, self._log_std) for known in each)
 
     @cached_property
     def doubts(self) -> tuple[Phrase, ...]:
@@ -600,7 +607,10 @@ def _open(found: Adjusted) -> Iterator[Phrase]:
             each, what = _with_bands(zip(*sizes, strict=True)), phrase(closed.relation.what)
             differs = phrase(BY_SO_MUCH, what, each, unit.name, closed.probability)
             yield phrase("{0}: something moved or drifted in between", differs)
-    rest = (found.fit.chi2, float(found.fit.dof)) if np.isfinite(found.freedom) else None
+    rest = None
+    if np.isfinite(found.freedom):  # what does not close is among what effects explain
+        parts = [(found.fit.chi2, found.fit.dof), *(closed.squares for closed in found.closed)]
+        rest = sum(squares for squares, _ in parts), float(sum(rank for _, rank in parts))
     named = {e.effect.effect for e in found.found_effects}
     for effect, seen in found.seen if found.closed else ():
         test = (
@@ -703,9 +713,10 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     for size in np.unique(sizes).tolist():
         alike = model.elements[each[sizes == size], :size]
         needed = noncentrality(significance, POWER, size)
-        values, ways = np.linalg.eigh(fit.cofactors(alike))
+        cofactor, kind = fit.cofactors(alike)
+        values, ways = np.linalg.eigh(cofactor)
         seen = np.maximum(values, needed / LARGEST**2)
-        weight = (ways * (needed / seen / len(each))[:, None]) @ ways.swapaxes(1, 2)
+        weight = ((ways * (needed / seen / len(each))[:, None]) @ ways.swapaxes(1, 2))[kind]
         first, second = np.repeat(alike, size, axis=1), np.tile(alike, (1, size))
         found_of = fit.products_of(first.ravel(), second.ravel(), weight.reshape(1, -1))
         squares += found_of[: len(std), 0]

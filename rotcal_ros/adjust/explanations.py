@@ -80,7 +80,8 @@ class Hypotheses:
 
     def of_many(self, matrix: Floats) -> Iterator[Floats]:
         """Yield :meth:`of_rows` of some rows of a ``matrix`` (r, n) after the other."""
-        for some in np.array_split(matrix, matrix.shape[0] * self.values.size // MOST_NUMBERS + 1):
+        parts = matrix.shape[0] * self.values.size // MOST_NUMBERS + 1
+        for some in np.array_split(matrix, parts) if parts > 1 else (matrix,):
             yield self.of_rows(some)
 
     def of_rows(self, matrix: Floats) -> Floats:

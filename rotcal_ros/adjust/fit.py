@@ -182,23 +182,29 @@ class Fit:
         for count in np.unique(sizes[sizes > 1]).tolist():
             which = np.flatnonzero(sizes == count)
             rows = self.model.elements[which, :count]
-            values, vectors = np.linalg.eigh(self.cofactors(rows))
+            cofactor, kind = self.cofactors(rows)
+            values, vectors = (each[kind] for each in np.linalg.eigh(cofactor))
             missed = (self.residual / self.std)[rows]
             along, checked = (missed[:, None] @ vectors)[:, 0], values > CHECKED
             each = np.where(checked, along**2 / np.where(checked, values, 1.0), 0.0)
             squares[which], rank[which] = each.sum(axis=1), checked.sum(axis=1)
         return squares, rank
 
-    def cofactors(self, rows: Ints) -> Floats:
-        """Return R (m, c, c) of elements; of those not used, that of what others predict."""
-        found, left = np.eye(rows.shape[1]) - self.kernel.among_each(rows), ~self.used[rows[:, 0]]
-        if left.any():
+    def cofactors(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return R (k, c, c) of each kind of elements, and of which kind (m,) each is.
+
+        Of those not used, that of what others predict.
+        """
+        among, kind = self.kernel.among_each(rows)
+        found, left = np.eye(rows.shape[1]) - among, np.flatnonzero(~self.used[rows[:, 0]])
+        if len(left):
             flat = rows[left].ravel()
             design = self.jacobian.rows(flat) / self.std[flat, None]
             gain = self.kernel.times(design.T).T.reshape(*rows[left].shape, -1)
             spread = design.reshape(gain.shape) @ gain.swapaxes(1, 2)
-            found[left] = np.eye(rows.shape[1]) + spread
-        return found
+            kind[left] = len(found) + np.arange(len(left))
+            found = np.concatenate([found, np.eye(rows.shape[1]) + spread])
+        return found, kind
 
     @property
     def value(self) -> Floats:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile, sidak
-from rotcal_ros.adjust.groups import Group, GroupTest, JudgedGroup, group_test
+from rotcal_ros.adjust.groups import Group, GroupTest, JudgedGroup, group_tests
 from rotcal_ros.adjust.judgement import BlamedSubset, Judgement, judge
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.compact import FULL, CompactCovariance, Spread
@@ -104,11 +104,12 @@ def judge_gathering(
     groups: Sequence[Group | JudgedGroup],
     rest: tuple[float, float] | None,
 ) -> Gathering:
-    """Return ``before`` with what ``groups`` say; ``rest`` as in :func:`~.groups.group_test`.
+    """Return ``before`` with what ``groups`` say; ``rest`` as in :func:`~.groups.group_tests`.
 
     All are tested; of those that name subsets it is asked what gathers in them.
     """
-    counts = [Count(g.kind, g.name, group_test(g, rest), g.size + g.lost, g.lost) for g in groups]
+    each = zip(groups, group_tests(groups, rest), strict=True)
+    counts = [Count(g.kind, g.name, test, g.size + g.lost, g.lost) for g, test in each]
     weighed = [g for g in groups if isinstance(g, Group) and len(g.gathered)]
     return replace(before, judgement=judge(weighed, rest), counts=tuple(counts))
 

@@ -8,14 +8,14 @@ are what can be wrong as a whole: a length is one row, the centre of a ball thre
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc, fdtrc
 
-from rotcal_ros.adjust.distributions import chi2_sf, f_sf
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.language import Phrase
@@ -177,19 +177,25 @@ class GroupTest:
     redundancy: float
 
 
-def group_test(group: Group | JudgedGroup, rest: tuple[float, float] | None = None) -> GroupTest:
-    """Test ``group`` as a whole.
+def group_tests(
+    groups: Sequence[Group | JudgedGroup], rest: tuple[float, float] | None = None
+) -> list[GroupTest]:
+    """Test each of the ``groups`` as a whole.
 
     ``rest``: chi-squared and degrees of freedom of the whole adjustment, where the noise was
     estimated from it: what the group leaves of them is its yardstick (external studentisation),
     and T / rank is F. None: the noise is known.
     """
-    squares, rank = group.together
-    probability = 1.0
-    if rank and rest is None:
-        probability = chi2_sf(squares, rank)
-    elif rank and rest is not None and rest[1] - rank >= 1.0:
-        variance = max(rest[0] - squares, 1e-300) / (rest[1] - rank)
-        probability = f_sf(squares / rank / variance, rank, rest[1] - rank)
-    checked, rows = group.checks
-    return GroupTest(squares, rank, probability, checked / max(rows, 1))
+    squares, rank = np.array([group.together for group in groups]).reshape(-1, 2).T
+    checked, rows = np.array([group.checks for group in groups]).reshape(-1, 2).T
+    tested, probability = rank > 0, np.ones(len(groups))
+    if rest is None:
+        probability[tested] = chdtrc(rank[tested], squares[tested])
+    else:
+        left = rest[1] - rank
+        tested &= left >= 1.0
+        of, under = rank[tested], left[tested]
+        variance = np.maximum(rest[0] - squares[tested], 1e-300) / under
+        probability[tested] = fdtrc(of, under, squares[tested] / of / variance)
+    each = squares, rank.astype(np.int64), probability, checked / np.maximum(rows, 1)
+    return [GroupTest(*test) for test in zip(*(of.tolist() for of in each), strict=True)]

@@ -193,7 +193,7 @@ def judge(groups: Sequence[Group], rest: tuple[float, float] | None = None) -> J
     """Return what the residuals of ``groups`` say of disturbances that gather in one of them.
 
     ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated,
-    see :func:`~.groups.group_test`. Any subset is searched for in groups whose own test has a
+    see :func:`~.groups.group_tests`. Any subset is searched for in groups whose own test has a
     probability below SEARCHED.
     """
     if not groups:

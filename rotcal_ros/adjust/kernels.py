@@ -191,9 +191,12 @@ class Kernel(ABC):
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
 
-    def among_each(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
-        return np.stack([self.among(each) for each in rows])
+    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e).
+
+        And of which kind (g,) each group is: those that are alike are worked out once.
+        """
+        return np.stack([self.among(each) for each in rows]), np.arange(len(rows))
 
     def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
@@ -355,10 +358,10 @@ class DenseKernel(Kernel):
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
         return squares_outside(white, self.basis[rows], np.ones(self.rank))
 
-    def among_each(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         basis = self.basis[rows]
-        return np.asarray(basis @ basis.swapaxes(1, 2))
+        return basis @ basis.swapaxes(1, 2), np.arange(len(rows))
 
     @property
     def leverage(self) -> Floats:
@@ -525,18 +528,17 @@ class LowRankUpdateKernel(Kernel):
         found += low @ self.core @ low.T
         return np.asarray(found)
 
-    def among_each(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
-        share, found = self.share[rows], self.base.among_each(rows)
-        if not found.strides[0] and (share == share[0]).all():  # all are alike
-            alike = found[0] * share[0, :, None] * share[0]
-            found = np.broadcast_to(alike, found.shape)
-        else:
-            found = found * share[:, :, None] * share[:, None]
+    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
+        share, (found, kind) = self.share[rows], self.base.among_each(rows)
+        first = np.unique(kind, return_index=True)[1]
+        if self.columns.shape[1] or (share != share[first][kind]).any():
+            found, first, kind = found[kind], np.arange(len(rows)), np.arange(len(rows))
+        found = found * share[first, :, None] * share[first, None]
         if self.columns.shape[1]:
             low = self._low[rows]
-            found = found + (low @ self.core) @ low.swapaxes(1, 2)
-        return np.asarray(found)
+            found += (low @ self.core) @ low.swapaxes(1, 2)
+        return found, kind
 
     def squares_between(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each.
@@ -630,8 +632,8 @@ class ConstrainedKernel(Kernel):
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
         return self.base.together(rows, white)
 
-    def among_each(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         return self.base.among_each(rows)
 
     @property

@@ -362,7 +362,7 @@ class SolutionView:
         used, rejectable = fit.used[first], model.rejectable[first]
         for grouping in (g.at(first) for g in model.groupings):
             if not grouping.gathers:
-                found += self._together_each(grouping)
+                found.extend(self._together_each(grouping))
                 continue
             for number, members in members_by_group(grouping, rejectable).items():
                 kept = members[used[members]]
@@ -398,11 +398,11 @@ class SolutionView:
             for some in np.array_split(every, -(-len(every) * size**2 // MOST_NUMBERS)):
                 members = [asked[k].members for k in some]
                 rows = [table[m, : size // len(m)].ravel() for m in members]
-                leverage = self.fit.kernel.among_each(np.stack(rows))
+                among, kind = self.fit.kernel.among_each(np.stack(rows))
                 gathered = _gathered_of([asked[k] for k in some])
                 groups = [
                     self._group(asked[k], *of)
-                    for k, *of in zip(some, leverage, gathered, strict=True)
+                    for k, *of in zip(some, among[kind], gathered, strict=True)
                 ]
                 cofactors = [group.cofactor.reshape(size, size) for group in groups]
                 values, vectors = np.linalg.eigh(np.stack(cofactors))
@@ -413,39 +413,48 @@ class SolutionView:
                     found[k] = replace(group, spectrum=own)
         return iter([found[k] for k in range(len(asked))])
 
-    def _together_each(self, grouping: Grouping) -> list[JudgedGroup]:
-        """Return groups of which it is not asked what gathers, those of one size at once."""
+    def _together_each(self, grouping: Grouping) -> Iterator[JudgedGroup]:
+        """Yield groups of which it is not asked what gathers; those of one size at once."""
         fit, model = self.fit, self.before.model
         first = model.elements[:, 0]
-        every, used = members_by_group(grouping, model.rejectable[first]), fit.used[first]
-        kept = {number: each[used[each]] for number, each in every.items()}
-        kept = {number: each for number, each in kept.items() if 1 < len(each) < len(used)}
-        of = {number: model.rows_of(each) for number, each in kept.items()}
-        lost = {number: len(every[number]) - len(each) for number, each in kept.items()}
-        found = dict[int, JudgedGroup]()
-        for size in {len(rows) for rows in of.values()}:
-            numbers = [number for number, rows in of.items() if len(rows) == size]
-            names = {number: grouping.name_of(number) for number in numbers}
-            if size > MANY_ROWS:
-                for k in numbers:
-                    found[k] = _as_a_whole(fit, grouping.kind, names[k], of[k], lost[k])
-                continue
-            rows = np.stack([of[number] for number in numbers])
-            among = fit.kernel.among_each(rows)
-            alike = not among.strides[0] or (among == among[0]).all()  # as of a circle
-            values, vectors = np.linalg.eigh(np.eye(size) - (among[:1] if alike else among))
-            values = np.broadcast_to(values, (len(rows), size))
-            along, seen = (fit.white[rows][:, None] @ vectors)[:, 0], values > CHECKED
-            squares = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
-            checked = np.clip(values, 0.0, 1.0).sum(axis=1)
-            each = zip(numbers, squares.tolist(), seen.sum(axis=1).tolist(), checked.tolist(),
-                       strict=True)  # fmt: skip
-            for number, square, rank, share in each:
-                found[number] = JudgedGroup(
-                    grouping.kind, names[number], len(kept[number]), (square, rank),
-                    (share, size), lost[number],
+        members = np.flatnonzero(model.rejectable[first] & (grouping.number >= 0))
+        members = members[np.argsort(grouping.number[members], kind="stable")]
+        number, of, whole = np.unique(
+            grouping.number[members], return_inverse=True, return_counts=True
+        )
+        used = fit.used[first]
+        kept = np.bincount(of, used[members]).astype(np.int64)
+        members, of = members[used[members]], of[used[members]]
+        real = model.elements[members] >= 0
+        rows, of_row = model.elements[members][real], np.repeat(of, real.sum(axis=1))
+        sizes = np.bincount(of_row, minlength=len(number))
+        sizes[(kept < 2) | (kept == len(used))] = 0
+        few = (sizes > 0) & (sizes <= MANY_ROWS)
+        judged = np.zeros((3, len(number)))
+        for size in np.unique(sizes[few]).tolist():
+            alike = sizes == size
+            judged[:, alike] = self._judged(rows[alike[of_row]].reshape(-1, size))
+        names = grouping.names_of(number.tolist())
+        each = zip(names, sizes, whole, kept, few, judged.T, strict=True)
+        for k, (name, size, count, left, asked, (squares, rank, share)) in enumerate(each):
+            known = grouping.kind, name
+            if asked:
+                yield JudgedGroup(
+                    *known, int(left), (float(squares), int(rank)), (float(share), int(size)),
+                    int(count - left),
                 )  # fmt: skip
-        return [found[number] for number in kept]
+            elif size:
+                yield _as_a_whole(fit, *known, rows[of_row == k], int(count - left))
+
+    def _judged(self, rows: Ints) -> Floats:
+        """Return T, its degrees of freedom and the share that others check of groups (g, e)."""
+        among, kind = self.fit.kernel.among_each(rows)
+        values, vectors = np.linalg.eigh(np.eye(rows.shape[1]) - among)
+        values, seen = values[kind], values[kind] > CHECKED
+        turn = vectors[kind] if len(vectors) > 1 else vectors  # as of a circle
+        along = (self.fit.white[rows][:, None] @ turn)[:, 0]
+        squares = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+        return np.stack([squares, seen.sum(axis=1), np.clip(values, 0.0, 1.0).sum(axis=1)])
 
     def _group(self, asked: _Members, leverage: Floats, gathered: Bools) -> Group:
         """Return a group whose rows have this ``leverage`` (e c, e c).

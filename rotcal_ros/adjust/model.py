@@ -23,7 +23,7 @@ from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.scattering import Scattering
-from rotcal_ros.adjust.subsets import contiguous_runs, distinct_subsets, neighbourhoods_of_each
+from rotcal_ros.adjust.subsets import contiguous_runs, distinct_of_each, neighbourhoods_of_each
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, join_texts, phrase
@@ -89,7 +89,12 @@ class Grouping(NamedTuple):
 
     def name_of(self, number: int) -> Phrase:
         """Return what people call one of the groups."""
-        return phrase("{0} {1}", phrase(self.kind), number)
+        return self.names_of([number])[0]
+
+    def names_of(self, numbers: Sequence[int]) -> list[Phrase]:
+        """Return the same of several."""
+        kind = phrase(self.kind)
+        return [phrase("{0} {1}", kind, number) for number in numbers]
 
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
@@ -868,12 +873,9 @@ def members_by_group(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
 
 def gathered_subsets(grouping: Grouping, members: Ints) -> list[Bools]:
     """Return which members (q, e) of groups (g, e) lie together; none where nothing says so."""
-    found = [[np.zeros((0, members.shape[1]), dtype=np.bool_)] for _ in members]
+    found = [np.zeros((len(members), 0, members.shape[1]), dtype=np.bool_)]
     if grouping.along is not None:
-        for each, along in zip(found, grouping.along[members], strict=True):
-            each.append(contiguous_runs(along, grouping.closed))
+        found.append(contiguous_runs(grouping.along[members], grouping.closed))
     if grouping.near is not None:
-        near = neighbourhoods_of_each(grouping.near[members])
-        for each, those in zip(found, near, strict=True):
-            each.append(those)
-    return [each[-1] if len(each) < 3 else distinct_subsets(*each) for each in found]
+        found.append(neighbourhoods_of_each(grouping.near[members]))
+    return distinct_of_each(np.concatenate(found, axis=1))

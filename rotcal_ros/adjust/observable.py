@@ -55,11 +55,12 @@ def observe_family(fit: Fit, columns: Floats | Steps, width: int = 1) -> Observa
     if isinstance(columns, Steps) and not columns.centred and columns.stride == 1:
         return _steps_observable_by(fit, columns)
     parts, count = list[ObservableFamily](), columns.shape[1] // width
+    last: list[Floats] | None = None
     some = max(1, min(AT_A_TIME, MOST_NUMBERS // (len(fit.std) * width)))
     for begin in range(0, max(count, 1), some):
-        end = begin + some  # of each part the first member of the next comes last
-        written = dense_columns(columns, slice(begin * width, (end + 1) * width))
-        parts.append(_part_observable_by(fit, written, width, end < count))
+        written = dense_columns(columns, slice(begin * width, (begin + some) * width))
+        part, last = _part_observable_by(fit, written, width, last)
+        parts.append(part)
     moved, own, beside, score, whole = (
         np.concatenate([getattr(part, each.name) for part in parts])
         for each in fields(ObservableFamily)
@@ -68,22 +69,27 @@ def observe_family(fit: Fit, columns: Floats | Steps, width: int = 1) -> Observa
 
 
 def _part_observable_by(
-    fit: Fit, columns: Floats, width: int, beside_next: bool
-) -> ObservableFamily:
-    """Return the same of some members, without the last one if it only counts ``beside_next``."""
+    fit: Fit, columns: Floats, width: int, before: list[Floats] | None
+) -> tuple[ObservableFamily, list[Floats]]:
+    """Return the same of some members beside the last one ``before``, and the last of these.
+
+    Of that its errors, what the unknowns take up and what they see of it, (., 1, w) each.
+    """
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     gain, back = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
-    mine, solved, adjoint = (each.reshape(len(each), -1, width) for each in (white, gain, back))
+    every = [each.reshape(len(each), -1, width) for each in (white, gain, back)]
+    mine, solved, adjoint = every
     beside = _products(mine[:, :-1], mine[:, 1:]) - _products(adjoint[:, :-1], solved[:, 1:])
-    if beside_next:
-        mine, solved, adjoint = (each[:, :-1] for each in (mine, solved, adjoint))
-    white, gain = (each.reshape(len(each), -1) for each in (mine, solved))
+    if before is not None:
+        first = _products(before[0], mine[:, :1]) - _products(before[2], solved[:, :1])
+        beside = np.concatenate([first, beside])
     own = _products(mine, mine)
     whole = own.diagonal(axis1=1, axis2=2)
     own = own - _products(adjoint, solved)
     _firm_up(fit, own, whole, lambda which: white[:, which])
     moved, score = fit.moved_by(gain, white).T, (white.T @ fit.white).reshape(-1, width)
-    return ObservableFamily(moved, own, beside, score, whole)
+    last = [each[:, -1:].copy() for each in every]
+    return ObservableFamily(moved, own, beside, score, whole), last
 
 
 def _products(first: Floats, second: Floats) -> Floats:

@@ -134,9 +134,10 @@ class _Reach:
         at = sensitivity.at[counted]
         own = (sensitivity.common[at] @ along + sensitivity.own[counted]) / self.std[at, None]
         squares, worst = np.zeros(unseen.size.shape), np.zeros(unseen.size.shape)
-        for common in unseen.found.of_many(self.root @ along):
-            squares += (common**2).sum(axis=0)
-        for each in unseen.found.of_many(own):
-            np.maximum(worst, np.abs(each).max(axis=0, initial=0.0), out=worst)
+        left = len(self.root)  # rows of what all outputs feel come first
+        for each in unseen.found.of_many(np.concatenate([self.root @ along, own])):
+            squares += (each[:left] ** 2).sum(axis=0)
+            np.maximum(worst, np.abs(each[left:]).max(axis=0, initial=0.0), out=worst)
+            left = max(left - len(each), 0)
         share = np.maximum(self.longest * np.sqrt(squares), SAFELY * worst)
         return float((share * unseen.size).max())

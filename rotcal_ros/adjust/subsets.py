@@ -57,28 +57,27 @@ def neighbourhoods(places: Floats) -> Bools:
 
     Unit vectors for directions. From LEAST to LARGEST_SHARE of the elements, each set once.
     """
-    return neighbourhoods_of_each(places[None])[0]
+    return distinct_subsets(neighbourhoods_of_each(places[None])[0])
 
 
-def neighbourhoods_of_each(places: Floats) -> list[Bools]:
-    """Return the same of each of g groups of as many elements, ``places`` (g, e, d)."""
+def neighbourhoods_of_each(places: Floats) -> Bools:
+    """Return those (g, q, e), repeats too, of groups of as many elements, ``places`` (g, e, d)."""
     g, e = places.shape[:2]
     apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
     nearest = np.argsort(apart, axis=2, kind="stable")
     rank = np.empty((g, e, e), dtype=np.int64)
     np.put_along_axis(rank, nearest, np.broadcast_to(np.arange(e), (g, e, e)), axis=2)
     parts = [rank[:, :: _step(size)] < size for size in _sizes(e).tolist()]
-    every = np.concatenate([np.zeros((g, 0, e), dtype=np.bool_), *parts], axis=1)
-    return [some[first] for some, first in zip(every, _first_of_each(every), strict=True)]
+    return np.concatenate([np.zeros((g, 0, e), dtype=np.bool_), *parts], axis=1)
 
 
 def contiguous_runs(along: Floats, closed: bool = False) -> Bools:
-    """Return unbroken runs (q, e) of elements in the order of ``along`` (e,), as of time.
+    """Return unbroken runs (..., q, e) of elements in the order of ``along`` (..., e), as of time.
 
     ``closed``: the last is followed by the first, as of directions round a circle.
     """
     rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")
-    return _runs(len(along), closed)[:, rank]
+    return np.moveaxis(_runs(along.shape[-1], closed)[:, rank], 0, -2)
 
 
 @lru_cache(maxsize=64)
@@ -103,8 +102,12 @@ def run_bounds(subsets: Bools) -> tuple[Ints, Ints, Bools]:
 
 def distinct_subsets(*subsets: Bools) -> Bools:
     """Return all ``subsets`` (q, e), each once."""
-    together = np.concatenate(subsets)
-    return np.asarray(together[_first_of_each(together[None])[0]])
+    return distinct_of_each(np.concatenate(subsets)[None])[0]
+
+
+def distinct_of_each(subsets: Bools) -> list[Bools]:
+    """Return the ``subsets`` (g, q, e) of each group, each once."""
+    return [some[first] for some, first in zip(subsets, _first_of_each(subsets), strict=True)]
 
 
 def _first_of_each(subsets: Bools) -> Bools:

@@ -30,11 +30,11 @@ from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.planning.check_rule import RISK, CheckRule
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.result_sources import (
     ResultSource,
-    instrument_of,
+    joint_input,
     read_curve,
     read_instrument,
     read_measured,
@@ -204,12 +204,12 @@ def write_report(
     'report.html'
     """
     # Figures take a second to load.
-    from rotcal_ros.report.page import write_measured, write_result
+    from rotcal_ros.report.page import report_measurement, report_result
 
     if isinstance(source, Result):
-        write_result(ResultSource(source, {}), Path(path), truth)
+        report_result(ResultSource(source, {}), Path(path), truth)
     else:
-        write_measured(source, Path(path), truth)
+        report_measurement(source, Path(path), truth)
     return Path(path)
 
 
@@ -240,10 +240,10 @@ def _measured_input(number: int, source: Curve) -> CombinationInput:
 
 def _instrument(number: int, source: Recording | Measurements | Result | Name) -> JointInput:
     if isinstance(source, str | PathLike):
-        return read_instrument(Input(Path(source)))
+        return read_instrument(MeasurementInput(Path(source)))
     if isinstance(source, Result):
         return JointInput(f"{source.method} ({number})", source)
-    return instrument_of(f"{source.configuration.method.name} ({number})", source)
+    return joint_input(f"{source.configuration.method.name} ({number})", source)
 
 
 def _measured(source: Configuration | Recording | Measurements) -> Measurements:

@@ -15,9 +15,9 @@ from rotcal_ros.foundation.language import Phrase, join_texts, phrase
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.planning.table_feedback import (
     PUBLISH_VELOCITY,
-    in_degrees,
     is_near,
-    other_way,
+    looks_like_degrees,
+    looks_reversed,
 )
 
 ANGLE, VELOCITY = range(2)
@@ -145,7 +145,7 @@ def lasting_feedback_fault(
     if first is None or (near.any() and not np.isnan(rows[-1, VELOCITY])):
         return None
     angle = float(rows[-1, ANGLE])
-    if other_way(angle, commanded) and not _came_since(table, ordered_ns, angle):
+    if looks_reversed(angle, commanded) and not _came_since(table, ordered_ns, angle):
         return None
     return last
 
@@ -189,12 +189,12 @@ def _feedback_fault(angle: float, velocity: float, commanded: float) -> Phrase |
     """Return what is wrong with a feedback itself, so that it is never in position."""
     if isnan(velocity):
         return phrase("the feedback has no velocity: {0}", phrase(PUBLISH_VELOCITY))
-    if in_degrees(angle, commanded):
+    if looks_like_degrees(angle, commanded):
         return phrase(
             "it says {0:.6g} where {1:.6g} rad = {2:.6g} deg was commanded: degrees? Publish "
             "radians, or set topics.angle_unit: deg", angle, commanded, commanded / DEGREE
         )  # fmt: skip
-    if other_way(angle, commanded):
+    if looks_reversed(angle, commanded):
         return phrase(
             "it says {0:+.6g} deg where {1:+.6g} deg was commanded: is a sign wrong? Positive is "
             "counter-clockwise seen from above, in orders and feedback",

@@ -27,11 +27,11 @@ def command(folder: Path | None, stop: bool, as_json: bool) -> int:
     """
     from rotcal_ros.foundation.errors import RotcalError
     from rotcal_ros.report.terminal.console import say
-    from rotcal_ros.sessions.attaching import watch
+    from rotcal_ros.sessions.attaching import watch_session
 
     session = _session(folder)
     try:
-        ended = watch(session, stop=stop)
+        ended = watch_session(session, stop=stop)
     except KeyboardInterrupt:
         say("left; the calibration continues")
         say(f"to see it again: rotcal attach {session.path}")

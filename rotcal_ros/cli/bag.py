@@ -20,7 +20,7 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.missing_data import PlacedDropout
+    from rotcal_ros.recordings.missing_data import DropoutWithSteps
 
 
 limits_option = click.option(
@@ -44,10 +44,10 @@ def command() -> None:
 @json_option
 def info(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     """Show what is in BAG: files, topics, attachments, configuration."""
-    from rotcal_ros.recordings.summary import describe
+    from rotcal_ros.recordings.summary import summarise_bag
 
     with progress("reading") as shown:
-        summary = describe(bag, shown, limits)
+        summary = summarise_bag(bag, shown, limits)
     if as_json:
         print_json(summary.to_dict())
     else:
@@ -69,7 +69,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     from rotcal_ros.bags.reader import bag_files, check_files
     from rotcal_ros.bags.session_identity import require_one_session
     from rotcal_ros.bags.session_verdict import judge_session
-    from rotcal_ros.recordings.missing_data import placed_in
+    from rotcal_ros.recordings.missing_data import match_recorded_dropouts
 
     files = bag_files(bag)
     with progress("checking") as shown:
@@ -80,7 +80,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
         require_one_session(files, limits)
     except BagError as error:
         mixed = str(error)
-    dropouts = placed_in(verdicts, limits)
+    dropouts = match_recorded_dropouts(verdicts, limits)
     if as_json:
         print_json({
             "files": [verdict.to_dict() for verdict in verdicts],
@@ -240,11 +240,11 @@ def parquet(bag: Path, output: Path, as_json: bool) -> int:
     return int(any(topic.broken for topic in topics))
 
 
-def _tell(dropouts: Sequence[PlacedDropout]) -> None:
+def _tell(dropouts: Sequence[DropoutWithSteps]) -> None:
     """Say what the recorder missed, and when."""
-    from rotcal_ros.recordings.missing_data import sentences
+    from rotcal_ros.recordings.missing_data import describe_dropouts
 
-    for sentence in sentences(dropouts):
+    for sentence in describe_dropouts(dropouts):
         say(sentence)
 
 

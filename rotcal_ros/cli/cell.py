@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import configurations
+from rotcal_ros.cli.options import complete_configurations
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.methods.check_lines import CellReport, CheckLine
 from rotcal_ros.report.terminal.console import say
@@ -35,7 +35,7 @@ def command() -> None:
 @command.command()
 @click.argument(
     "configuration", required=False, type=path_type, metavar="[CONFIG]",
-    shell_complete=configurations,
+    shell_complete=complete_configurations,
 )  # fmt: skip
 @click.option("--namespace", default="", help="ROS namespace; default: that of CONFIG, or /cell.")
 @click.option(

@@ -12,10 +12,10 @@ from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import (
     align_option,
     component_option,
+    make_check_rule,
     reference_option,
-    references,
+    reference_reader,
     remember_option,
-    rule_of,
     rule_options,
     sheet_option,
 )
@@ -59,9 +59,11 @@ def command(
     from rotcal_ros.recordings.result_sources import read_curve
 
     unit, label = unit_of(component)
-    how = references((earlier, new), reference_std, changes, remembers=remember)
+    how = reference_reader((earlier, new), reference_std, changes, remembers=remember)
     curves = [read_curve(path, component, how) for path in (earlier, new)]
-    check = quick_check(curves[0], curves[1], rule_of(unit, **asked), align_order, unit, label)
+    check = quick_check(
+        curves[0], curves[1], make_check_rule(unit, **asked), align_order, unit, label
+    )
     if as_json:
         print_json({"component": component, **check.to_dict()})
     else:

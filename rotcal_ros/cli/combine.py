@@ -11,7 +11,7 @@ from rotcal_ros.cli.console import json_option, path_type, result_option, show_r
 from rotcal_ros.cli.options import (
     polygon_option,
     reference_option,
-    references,
+    reference_reader,
     remember_option,
     sheet_option,
 )
@@ -57,10 +57,10 @@ def command(
     from rotcal_ros.evaluation.joint import combine
     from rotcal_ros.recordings.result_sources import read_measured
 
-    how = references(sources, reference_std, changes, polygon, remembers=remember)
+    how = reference_reader(sources, reference_std, changes, polygon, remembers=remember)
     combined = combine([read_measured(source, how) for source in sources], enlarge)
     if not as_json:
-        from rotcal_ros.report.terminal.tables import say_groups
+        from rotcal_ros.report.terminal.tables import print_group_agreement
 
-        say_groups(combined.groups)
+        print_group_agreement(combined.groups)
     return show_result(combined.result, output, as_json=as_json)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
+from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json, write_drawing
 from rotcal_ros.cli.options import (
     align_option,
     component_option,
     language_option,
     polygon_option,
     reference_option,
-    references,
+    reference_reader,
     remember_option,
     sheet_option,
 )
@@ -87,7 +87,7 @@ def command(
     curves = _read(
         sources,
         component,
-        references(sources, reference_std, changes, polygon, remembers=remember),
+        reference_reader(sources, reference_std, changes, polygon, remembers=remember),
     )
     if len(curves) < 2:
         raise click.UsageError("give at least two different results to compare")
@@ -98,7 +98,7 @@ def command(
         shown = (curves, comparisons, component)
         page, figure = partial(comparison_page, *shown), partial(curves_and_errors, *shown)
         with use_language(language):
-            draw(output, {".svg": figure, ".html": page})
+            write_drawing(output, {".svg": figure, ".html": page})
     if as_json:
         print_json(_plain(comparisons, component))
     else:

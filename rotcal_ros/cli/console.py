@@ -88,7 +88,7 @@ def show_result(result: Result, output: Path | None, *, as_json: bool) -> int:
     return VERDICT_EXIT_CODES[result.verdict]
 
 
-def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
+def write_drawing(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
     """Write a drawing in the form that the ending of ``output`` names."""
     write_atomically(output, forms[output.suffix.lower()]())
     say(f"drawn: {output.absolute()}")
@@ -137,7 +137,7 @@ OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
 """Packages that only pip has: package.xml leaves them to the user."""
 
 
-def in_lines(error: Exception) -> tuple[str, ...]:
+def error_lines(error: Exception) -> tuple[str, ...]:
     """Return an error in one line for people, and further lines if it has any."""
     if isinstance(error, RotcalError):
         from rotcal_ros.foundation.table_questions import further_lines

@@ -58,7 +58,9 @@ def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
     --machine-ini it shows which tables this LinuxCNC loads, and what is wrong with them.
     """
     done: list[Check] = []
-    for check in chain(checks(output), tables(machine_ini) if machine_ini else ()):
+    for check in chain(
+        run_checks(output), check_linuxcnc_tables(machine_ini) if machine_ini else ()
+    ):
         done.append(check)
         if not as_json:
             mark = click.style("✓", "green") if check.ok else click.style("✗", "red")
@@ -70,23 +72,23 @@ def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
     return 0 if good else 1
 
 
-def checks(output: Path) -> Iterator[Check]:
+def run_checks(output: Path) -> Iterator[Check]:
     """Yield all checks in the order in which they depend on each other."""
     yield Check("Python", True, f"{platform.python_version()} at {sys.executable}")
-    yield compiler()
-    yield packages()
-    live = (ros(), messages())
+    yield check_compiler()
+    yield check_packages()
+    live = (check_ros(), check_messages())
     yield from live
     if all(check.ok for check in live):
-        yield (path := loopback())
+        yield (path := check_loopback())
         if path.ok:
-            yield nodes()
-            yield rate(output)
-    yield writable(output)
-    yield space(output)
+            yield check_nodes()
+            yield check_rate(output)
+    yield check_writable(output)
+    yield check_disk_space(output)
 
 
-def tables(machine_ini: Path) -> Iterator[Check]:
+def check_linuxcnc_tables(machine_ini: Path) -> Iterator[Check]:
     """Check whether the ini file of a LinuxCNC puts its tables into force as intended."""
     from rotcal_ros.compensation.linuxcnc import find_loaded_tables
 
@@ -101,7 +103,7 @@ def tables(machine_ini: Path) -> Iterator[Check]:
         yield Check("LinuxCNC table", False, f"{machine_ini} names none", advice)
 
 
-def compiler() -> Check:
+def check_compiler() -> Check:
     """Look for the compilers that build the message definitions."""
     found = [shutil.which(os.environ.get(name, fallback)) for name, fallback in COMPILERS]
     return Check(
@@ -112,7 +114,7 @@ def compiler() -> Check:
     )
 
 
-def packages() -> Check:
+def check_packages() -> Check:
     """Look for the packages of the core."""
     needed = [need for need in metadata.requires("rotcal_ros") or () if "extra ==" not in need]
     versions = {name: _version(name) for name in needed}
@@ -127,7 +129,7 @@ def packages() -> Check:
     )
 
 
-def ros() -> Check:
+def check_ros() -> Check:
     """Look for rclpy without importing it, because that would load all of ROS."""
     if util.find_spec("rclpy") is None:
         advice = "needed for live calibration only: 'make setup', or source your ROS installation"
@@ -143,7 +145,7 @@ def ros() -> Check:
     return Check("ROS 2", name in SUPPORTED, found, f"live calibration was tried on {tried}")
 
 
-def messages() -> Check:
+def check_messages() -> Check:
     """Look for the generated messages."""
     built = util.find_spec("rotcal_msgs") is not None
     current = built and messages_are_current()
@@ -155,19 +157,19 @@ def messages() -> Check:
     )
 
 
-def loopback() -> Check:
+def check_loopback() -> Check:
     """Send a message there and back over DDS, in a domain of its own on this machine."""
     ok, found = _try("message_trial")
     return Check("DDS on this machine", ok, found, "let UDP through on the loopback interface")
 
 
-def nodes() -> Check:
+def check_nodes() -> Check:
     """Start the nodes of every cell and end them, in a domain of their own on this machine."""
     ok, found = _try("start_trial")
     return Check("Nodes", ok, found, "'rotcal run' would fail too; report it with this line")
 
 
-def rate(output: Path) -> Check:
+def check_rate(output: Path) -> Check:
     """Let recorder and capture work for 5 s beside whatever this machine is doing."""
     ok, found = _try("rate_trial", str(_existing(output)))
     advice = "give the calibration a computer, or cores, of its own (docs/running.md)"
@@ -192,7 +194,7 @@ def _try(module: str, *arguments: str) -> tuple[bool, str]:
     return ok, lines[-1] if lines else "no answer"
 
 
-def writable(output: Path) -> Check:
+def check_writable(output: Path) -> Check:
     """Check whether files can be created in the output folder."""
     folder = _existing(output)
     try:
@@ -208,7 +210,7 @@ def writable(output: Path) -> Check:
     )
 
 
-def space(output: Path) -> Check:
+def check_disk_space(output: Path) -> Check:
     """Check whether there is room for a bag."""
     folder = _existing(output)
     free = shutil.disk_usage(folder).free

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import installed, reference_option, setup_options
+from rotcal_ros.cli.options import complete_plugins, reference_option, setup_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.report.terminal.console import say, tell, understood
+from rotcal_ros.report.terminal.console import print_reading, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.compensation.request import ExportRequest
@@ -32,7 +32,7 @@ AXIS: Final = "axis"
     "--to",
     "controller",
     required=True,
-    shell_complete=installed(plugins.CONTROLLERS, VOLUMETRIC),
+    shell_complete=complete_plugins(plugins.CONTROLLERS, VOLUMETRIC),
     help="Controller, or 'volumetric'.",
 )
 @click.option(
@@ -124,7 +124,7 @@ def command(
     from rotcal_ros.compensation.axis_location import prepare_location
     from rotcal_ros.compensation.request import ExportRequest, write_export
     from rotcal_ros.compensation.volumetric import prepare_volumetric
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
     from rotcal_ros.recordings.result_sources import read_source
 
     changes = tuple(filter(_is_of_configuration, settings))
@@ -134,7 +134,9 @@ def command(
     asked = ExportRequest(settings=own, **options)
 
     def read(path: Path) -> ResultSource:
-        return read_source(path, Input(path, setup, targets, changes, announce=understood))
+        return read_source(
+            path, MeasurementInput(path, setup, targets, changes, announce=print_reading)
+        )
 
     forward = read(source)
     if what == AXIS or (what == VOLUMETRIC and asked.controller != VOLUMETRIC):

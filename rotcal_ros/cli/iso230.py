@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
+from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json, write_drawing
 from rotcal_ros.cli.options import (
-    announcer,
     explain_option,
+    reading_announcer,
     remember_option,
-    sheet_of,
     sheet_option,
+    sheet_settings,
 )
 from rotcal_ros.foundation.units import ARCSEC
 
@@ -56,7 +56,7 @@ def command(
     from rotcal_ros.recordings.result_sources import read_repeated_runs
 
     runs = read_repeated_runs(
-        source, sheet_of(changes), announcer(explain=explain, remembers=remember)
+        source, sheet_settings(changes), reading_announcer(explain=explain, remembers=remember)
     )
     if explain:
         return 0
@@ -64,9 +64,9 @@ def command(
         runs = add_device_uncertainty(runs, device * ARCSEC)
     figures = iso230(runs)
     if output is not None:
-        from rotcal_ros.report.iso230 import diagrams
+        from rotcal_ros.report.iso230 import draw_runs
 
-        draw(output, {".svg": lambda: diagrams(runs, figures)})
+        write_drawing(output, {".svg": lambda: draw_runs(runs, figures)})
     if as_json:
         print_json(figures.to_dict())
     else:

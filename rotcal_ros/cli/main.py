@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from rotcal_ros import __version__
-from rotcal_ros.cli.console import INTERRUPTED, in_lines
+from rotcal_ros.cli.console import INTERRUPTED, error_lines
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.url_secrets import has_secret, mask_secrets, secret_error_text
@@ -215,7 +215,7 @@ def _compute_in_one_thread() -> None:
 
 def _explain(error: Exception) -> int:
     """Print one red line for ``error`` and return its exit code."""
-    _complain(*in_lines(error))
+    _complain(*error_lines(error))
     return error.exit_code if isinstance(error, RotcalError) else UNREADABLE
 
 

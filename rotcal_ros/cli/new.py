@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import NamedFile, path_type
-from rotcal_ros.cli.options import installed, set_option
+from rotcal_ros.cli.options import complete_plugins, set_option
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalError
 from rotcal_ros.report.terminal.console import say, tell
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("table", type=path_type, required=False, metavar="[TABLE]")
-@click.option("--method", shell_complete=installed(plugins.METHODS), help="How it is measured.")
+@click.option(
+    "--method", shell_complete=complete_plugins(plugins.METHODS), help="How it is measured."
+)
 @click.option(
     "--positions",
     type=click.IntRange(min=2),

@@ -52,7 +52,7 @@ def setup_options(function: Function) -> Function:
     return click.option(
         "--setup",
         type=path_type,
-        shell_complete=configurations,
+        shell_complete=complete_configurations,
         help="Configuration; needed for a table, a bag has its own.",
     )(function)
 
@@ -109,12 +109,12 @@ remember_option: Final = click.option(
 )
 
 
-def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], object]:
+def reading_announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], object]:
     """Return what prints how a table was understood: in one line, or all for ``--explain``.
 
     ``remembers``: what was stated of the table is kept beside it.
     """
-    from rotcal_ros.report.terminal.console import say, tell, understood
+    from rotcal_ros.report.terminal.console import print_reading, say, tell
 
     def announce(reading: Reading) -> None:
         from rotcal_ros.foundation.table_columns import AS_IT_STANDS
@@ -123,7 +123,7 @@ def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], 
         if explain:
             tell(*reading.lines())
         else:
-            understood(reading)
+            print_reading(reading)
         if remembers and reading.form and reading.stated != AS_IT_STANDS:
             file = remember(reading.table.path, reading.form_head, reading.stated)
             say(f"remembered in {file} for tables with this head")
@@ -131,7 +131,7 @@ def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], 
     return announce
 
 
-def sheet_of(changes: Sequence[str]) -> SheetSettings:
+def sheet_settings(changes: Sequence[str]) -> SheetSettings:
     """Return what ``--set sheet.NAME=VALUE`` says of a table."""
     from rotcal_ros.foundation.settings import settings_from_changes
     from rotcal_ros.foundation.table_columns import SheetSettings
@@ -140,7 +140,7 @@ def sheet_of(changes: Sequence[str]) -> SheetSettings:
     return settings_from_changes(SheetSettings, "sheet", changes, load_yaml)
 
 
-def references(
+def reference_reader(
     sources: Iterable[Path],
     reference_std: float | None,
     changes: Sequence[str],
@@ -156,8 +156,8 @@ def references(
     from rotcal_ros.foundation.tables import is_table
     from rotcal_ros.recordings.result_sources import References
 
-    announce = announcer(explain=False, remembers=remembers)
-    sheet, tables = sheet_of(changes), [*filter(is_table, sources)]
+    announce = reading_announcer(explain=False, remembers=remembers)
+    sheet, tables = sheet_settings(changes), [*filter(is_table, sources)]
     own = of_tables([*tables, *([polygon] if polygon else [])], sheet)
     found = References(reference_std, None, sheet, announce, own)
     if polygon is None:
@@ -210,7 +210,7 @@ def rule_options(function: Function) -> Function:
     return function
 
 
-def rule_of(
+def make_check_rule(
     unit: float,
     *,
     within: float | None,
@@ -237,7 +237,7 @@ FOLDER: Final = "config"
 SUFFIX: Final = ".yaml"
 
 
-def configurations(
+def complete_configurations(
     _context: click.Context, _parameter: click.Parameter, typed: str
 ) -> list[CompletionItem]:
     """Offer the configurations that begin with ``typed``; if there are none, files."""
@@ -250,7 +250,7 @@ def configurations(
     return [CompletionItem(path) for path in found] or [CompletionItem(typed, type="file")]
 
 
-def installed(
+def complete_plugins(
     group: str, *others: str
 ) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
     """Return what offers the plug-ins of a group, and ``others``."""

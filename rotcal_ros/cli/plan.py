@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import configurations, set_option, shown_option
+from rotcal_ros.cli.options import complete_configurations, set_option, shown_option
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, SHOWN_IN, unit_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
@@ -69,7 +69,9 @@ def command() -> None:
 
 
 @command.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@click.argument(
+    "configuration", type=path_type, metavar="CONFIG", shell_complete=complete_configurations
+)
 @touch_option
 @shown_option("--touch-s", type=float, default=2.0, help="s, one touch point.")
 @shown_option("--settle-s", type=float, default=1.0, help="s, wait after a turn.")
@@ -108,12 +110,14 @@ def order(
     click.echo("step,table_deg,ball_step")
     for s in steps:
         click.echo(f"{s['step']},{s['table_deg']},{s['ball_step']}")
-    click.echo(order_in_words(settings.order, rows), err=True)
+    click.echo(describe_order(settings.order, rows), err=True)
     return 0
 
 
 @command.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@click.argument(
+    "configuration", type=path_type, metavar="CONFIG", shell_complete=complete_configurations
+)
 @set_option
 @click.option(
     "--alpha",
@@ -175,7 +179,9 @@ def reliability(
 
 
 @command.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@click.argument(
+    "configuration", type=path_type, metavar="CONFIG", shell_complete=complete_configurations
+)
 @set_option
 @click.option(
     "--runs",
@@ -292,12 +298,12 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
 
 def _present(path: Path, seed: int) -> JointInput:
     """Return what there is: a result, a bag, or a configuration that is planned."""
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
     from rotcal_ros.recordings.result_sources import read_instrument
 
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return _expected(str(path), _planned(str(path)), seed)
-    return read_instrument(Input(path))
+    return read_instrument(MeasurementInput(path))
 
 
 def _print_additions(rows: Sequence[tuple[str, float, JointPlan]]) -> None:
@@ -364,7 +370,7 @@ def order_dict(rows: BallPlan) -> dict[str, Any]:
     }
 
 
-def order_in_words(name: str, rows: BallPlan) -> str:
+def describe_order(name: str, rows: BallPlan) -> str:
     """Return what the measuring order of that name takes, in words."""
     return (
         f"order {name}: {len(rows.ball_step)} balls, {rows.duration / 3600.0:.1f} h, table travel "

@@ -14,11 +14,11 @@ from rotcal_ros.cli.options import language_option, set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.language import use_language
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command, unfinished
-from rotcal_ros.report.terminal.console import say, understood
+from rotcal_ros.report.terminal.console import print_reading, say
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.results import Result
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
 
 
 @click.command()
@@ -109,11 +109,13 @@ class _ReportRequest:
         if not self.dcc and (self.sign or self.certificate):
             raise click.UsageError("--sign and --certificate belong to --dcc: add it")
 
-    def input(self, source: Path) -> Input:
+    def input(self, source: Path) -> MeasurementInput:
         """Return the bag or table ``source`` with what belongs to it."""
-        from rotcal_ros.recordings.inputs import Input
+        from rotcal_ros.recordings.inputs import MeasurementInput
 
-        return Input(source, self.setup, self.targets, self.changes, announce=understood)
+        return MeasurementInput(
+            source, self.setup, self.targets, self.changes, announce=print_reading
+        )
 
 
 def _certify(asked: _ReportRequest) -> int:
@@ -130,7 +132,7 @@ def _report(asked: _ReportRequest) -> int:
 
     session = SessionFolder(asked.source)
     source = session.bag if session.bag.is_dir() else asked.source
-    output = asked.output or page_beside(source)
+    output = asked.output or default_report_path(source)
     require_writable(output)
     _require_new(output, source)
     _require_empty(asked.tables, source)
@@ -146,20 +148,20 @@ def _written(asked: _ReportRequest, source: Path, output: Path) -> Result:
     """Write the page; return the result that it is about."""
     from rotcal_ros.evaluation.truth_scores import read_document
     from rotcal_ros.recordings.result_sources import read_source
-    from rotcal_ros.report.page import write_measured, write_result
+    from rotcal_ros.report.page import report_measurement, report_result
 
     injected = None if asked.truth is None else read_document(asked.truth)
     given = asked.input(source)
     if source.suffix == ".json":
-        return write_result(read_source(source, given), output, injected, asked.in_force)
+        return report_result(read_source(source, given), output, injected, asked.in_force)
     begun = source.is_dir() and unfinished(source.parent)
     go_on = resume_command(source.parent) if begun else ""
-    return write_measured(given.read(), output, injected, asked.in_force, go_on)
+    return report_measurement(given.read(), output, injected, asked.in_force, go_on)
 
 
 def _require_new(output: Path, source: Path) -> None:
     """Raise BagError for a page that is there already, or would lie inside a bag."""
-    if bag := bag_around(output, source):
+    if bag := enclosing_bag(output, source):
         raise BagError(f"{output} would lie inside the bag {bag}; name a file beside it with -o")
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
@@ -169,7 +171,7 @@ def _require_empty(folder: Path | None, source: Path) -> None:
     """Raise BagError unless tables may be written into ``folder``: nothing is overwritten."""
     if folder is None:
         return
-    if bag := bag_around(folder / "any", source):
+    if bag := enclosing_bag(folder / "any", source):
         raise BagError(f"{folder} lies inside the bag {bag}; name a folder beside it")
     if folder.exists() and any(folder.iterdir()):
         raise BagError(f"{folder} is not empty, and nothing is overwritten: name a new folder")
@@ -187,10 +189,10 @@ def _acting(result: Result, in_force: Path | None) -> int:
     return 1 if effect is not None and effect.fault else 0
 
 
-def page_beside(source: Path) -> Path:
+def default_report_path(source: Path) -> Path:
     """Return where to put the page about ``source``: beside it, or beside its bag."""
     source = source.absolute()
-    source = bag_around(source) or source
+    source = enclosing_bag(source) or source
     session = SessionFolder(source.parent)
     if source in (session.bag, session.result):
         return session.report
@@ -198,7 +200,7 @@ def page_beside(source: Path) -> Path:
     return source.with_name(f"{name}_{session.report.name}")
 
 
-def bag_around(path: Path, bag: Path | None = None) -> Path | None:
+def enclosing_bag(path: Path, bag: Path | None = None) -> Path | None:
     """Return the bag that ``path`` lies in or would lie in, if any."""
     from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 

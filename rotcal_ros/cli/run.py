@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_outcome
-from rotcal_ros.cli.options import configurations, language_option, set_option
+from rotcal_ros.cli.options import complete_configurations, language_option, set_option
 from rotcal_ros.foundation.language import use_language
 from rotcal_ros.report.terminal.console import tell
 
@@ -18,7 +18,7 @@ from rotcal_ros.report.terminal.console import tell
 @click.command()
 @click.argument(
     "configuration", type=path_type, metavar="[CONFIG]", required=False,
-    shell_complete=configurations,
+    shell_complete=complete_configurations,
 )  # fmt: skip
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
@@ -75,7 +75,7 @@ def command(
     from rotcal_ros.sessions.attaching import Viewers
     from rotcal_ros.sessions.lasting_output import go_to_background, lasting_output
     from rotcal_ros.sessions.processes import page_can_be_served, require_ros
-    from rotcal_ros.sessions.products import goal_standing, write_products
+    from rotcal_ros.sessions.products import session_goal_standing, write_products
     from rotcal_ros.sessions.running import calibrate
     from rotcal_ros.sessions.session import prepare_session, resume_session
 
@@ -113,7 +113,7 @@ def command(
                     session, report=not no_report, export=not no_export, tell=viewers.say
                 )
             seconds = round(time.monotonic() - started, 1)
-            standing = goal_standing(session.folder)
+            standing = session_goal_standing(session.folder)
             goal_line = "" if standing is None else standing.describe()
             outcome |= {"seconds": seconds, "files": files, "goal_line": goal_line}
         viewers.end(outcome)

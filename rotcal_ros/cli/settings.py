@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import json_option, print_json
-from rotcal_ros.cli.options import installed
+from rotcal_ros.cli.options import complete_plugins
 from rotcal_ros.foundation import plugins
 
 if TYPE_CHECKING:
@@ -28,7 +28,10 @@ _HEADINGS: Final = ("setting", "unit", "default", "meaning")
 
 @click.command()
 @click.argument(
-    "names", nargs=-1, metavar="[METHOD] [GROUP]...", shell_complete=installed(plugins.METHODS)
+    "names",
+    nargs=-1,
+    metavar="[METHOD] [GROUP]...",
+    shell_complete=complete_plugins(plugins.METHODS),
 )
 @click.option(
     "--all", "--expert", "everything", is_flag=True, help="Every setting, those for experts too."

@@ -18,9 +18,9 @@ from rotcal_ros.cli.console import (
     show_result,
 )
 from rotcal_ros.cli.options import (
-    announcer,
-    configurations,
+    complete_configurations,
     explain_option,
+    reading_announcer,
     remember_option,
     set_option,
     targets_option,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.methods.method import Measurements
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
     from rotcal_ros.recordings.replay import Recording
 
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     "setups",
     multiple=True,
     type=path_type,
-    shell_complete=configurations,
+    shell_complete=complete_configurations,
     help="Configuration; needed for a table, a bag has its own. Of several, one for each table "
     "or one for each source, in their order.",
 )
@@ -110,22 +110,22 @@ def command(
     RESULT (a JSON file) stands for observations that are not at hand; rotcal combine joins results
     alone. The exit code is 0 for the verdict ok and 1 for suspect or failed.
     """
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
 
-    announce = announcer(explain=explain, remembers=remember)
+    announce = reading_announcer(explain=explain, remembers=remember)
     if len(sources) > 1 and (targets or changes or balls or coarser or groups):
         raise click.UsageError(
             "--targets, --set, --balls, --coarser and --groups are for one source: of several "
             "state it in their set-ups (--setup); a table of targets is found beside its table"
         )
     inputs = [
-        Input(source, setup, targets, changes, taken_from, namespace, announce)
+        MeasurementInput(source, setup, targets, changes, taken_from, namespace, announce)
         for source, setup in zip(sources, _setups(sources, setups), strict=True)
     ]
     if len(inputs) > 1 and not explain:
         return _show_together(inputs, output, as_json)
     with progress("reading") as shown:
-        every = [each.read(shown) for each in inputs if not _is_result(each.path)]
+        every = [each.read(shown) for each in inputs if each.path.suffix != ".json"]
     if explain:
         return 0
     if not every:
@@ -161,11 +161,7 @@ def _setups(sources: Sequence[Path], setups: Sequence[Path]) -> list[Path | None
     return [next(given, None) if table else None for table in tables]
 
 
-def _is_result(path: Path) -> bool:
-    return path.suffix == ".json"
-
-
-def _show_together(inputs: Sequence[Input], output: Path | None, as_json: bool) -> int:
+def _show_together(inputs: Sequence[MeasurementInput], output: Path | None, as_json: bool) -> int:
     """Solve several sources together and show the result."""
     from rotcal_ros.evaluation.joint import solve_together
     from rotcal_ros.recordings.result_sources import read_instrument
@@ -174,9 +170,9 @@ def _show_together(inputs: Sequence[Input], output: Path | None, as_json: bool) 
         instruments = [read_instrument(each, shown) for each in inputs]
     found = solve_together(instruments)
     if not as_json:
-        from rotcal_ros.report.terminal.tables import say_groups
+        from rotcal_ros.report.terminal.tables import print_group_agreement
 
-        say_groups(found.groups)
+        print_group_agreement(found.groups)
     return show_result(found.result, output, as_json=as_json)
 
 

@@ -10,11 +10,11 @@ import click
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
-from rotcal_ros.report.terminal.console import progress, say, understood
+from rotcal_ros.report.terminal.console import print_reading, progress, say
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.method import Measurements
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
 
 
 @click.command()
@@ -58,9 +58,9 @@ def command(
     """
     from rotcal_ros.evaluation.monte_carlo import propagate_measurement
     from rotcal_ros.foundation.machine_load import core_count
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
 
-    measured = _read(Input(source, setup, targets, changes, announce=understood))
+    measured = _read(MeasurementInput(source, setup, targets, changes, announce=print_reading))
     with progress("trials") as shown:
         both = propagate_measurement(
             measured,
@@ -79,7 +79,7 @@ def command(
     return int(bool(both.warnings))
 
 
-def _read(given: Input) -> Measurements:
+def _read(given: MeasurementInput) -> Measurements:
     """Return what was measured, or for a configuration the nominal observations of its plan."""
     if given.path.suffix not in (".yaml", ".yml"):
         measured = given.read()

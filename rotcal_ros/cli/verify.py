@@ -19,13 +19,18 @@ from rotcal_ros.cli.console import (
     print_json,
     print_verdict,
 )
-from rotcal_ros.cli.options import configurations, installed, language_option, reference_option
+from rotcal_ros.cli.options import (
+    complete_configurations,
+    complete_plugins,
+    language_option,
+    reference_option,
+)
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import SIMULATED
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.language import use_language
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.report.terminal.console import say, tell, understood
+from rotcal_ros.report.terminal.console import print_reading, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.verification import Verification
@@ -38,7 +43,7 @@ if TYPE_CHECKING:
     type=path_type,
     metavar="[CONFIG|BEFORE]",
     required=False,
-    shell_complete=configurations,
+    shell_complete=complete_configurations,
 )
 @click.option("-o", "--output", "--out", type=path_type, help="New folder; default: out/NAME.")
 @click.option(
@@ -59,7 +64,7 @@ if TYPE_CHECKING:
     "--to",
     "controllers",
     multiple=True,
-    shell_complete=installed(plugins.CONTROLLERS),
+    shell_complete=complete_plugins(plugins.CONTROLLERS),
     help="Controller to write files for; may be given several times.",
 )
 @click.option(
@@ -133,7 +138,11 @@ def command(
         with use_language(language):
             return _verify_two(configuration, output, changes, check, controllers, as_json, apart)
     _refuse({name: value for name, value in apart.items() if value is not None}, "--after TABLE")
-    from rotcal_ros.sessions.verification import Request, begin, confirm_loaded
+    from rotcal_ros.sessions.verification import (
+        VerificationRequest,
+        begin_verification,
+        confirm_loaded,
+    )
 
     if (configuration is None) == (resume is None):
         raise click.UsageError("give a CONFIG, or --resume FOLDER")
@@ -144,8 +153,8 @@ def command(
         )
     if configuration is not None:
         folder = (output or Path("out") / configuration.stem).absolute()
-        request = Request(check, spacing, controllers, accept_unverified, again)
-        begin(configuration, folder, changes, request, keep_previous=keep_previous)
+        request = VerificationRequest(check, spacing, controllers, accept_unverified, again)
+        begin_verification(configuration, folder, changes, request, keep_previous=keep_previous)
     else:
         assert resume is not None
         folder = resume.absolute()
@@ -182,7 +191,7 @@ def _verify_two(
     from rotcal_ros.compensation.earlier_export import loaded_table
     from rotcal_ros.evaluation.two_measurements import verification_of
     from rotcal_ros.foundation.session_folder import VERIFICATION
-    from rotcal_ros.report.verification import before_and_after
+    from rotcal_ros.report.verification import draw_before_and_after
 
     after, folder, own = apart["after"], apart["table"], click.get_current_context()
     _refuse((name for name in OF_CELLS if own.params[name]), "CONFIG")
@@ -205,7 +214,7 @@ def _verify_two(
             raise click.UsageError(f"{output} exists, and nothing is overwritten: choose another")
         output.mkdir(parents=True)
         write_atomically(output / VERIFICATION, json.dumps(data, indent=1) + "\n")
-        drawn = before_and_after(verification.before, verification.after)
+        drawn = draw_before_and_after(verification.before, verification.after)
         write_atomically((output / VERIFICATION).with_suffix(".svg"), drawn)
         say(f"written: {output.absolute()}")
     if as_json:
@@ -218,13 +227,15 @@ def _verify_two(
 def _source(path: Path, changes: tuple[str, ...], std: float | None) -> ResultSource:
     """Return a measurement; only a table needs ``changes``, or a standard uncertainty (rad)."""
     from rotcal_ros.foundation.tables import is_table
-    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.inputs import MeasurementInput
     from rotcal_ros.recordings.result_sources import read_source
 
     if not is_table(path):
         return read_source(path)
     stated = () if std is None else (f"solver.u_arcsec={std / ARCSEC!r}",)
-    return read_source(path, Input(path, changes=(*changes, *stated), announce=understood))
+    return read_source(
+        path, MeasurementInput(path, changes=(*changes, *stated), announce=print_reading)
+    )
 
 
 def _print_side_by_side(verification: Verification) -> None:
@@ -266,11 +277,11 @@ def _verify(folder: Path, as_json: bool) -> int:
     from rotcal_ros.foundation.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.sessions.lasting_output import lasting_output
-    from rotcal_ros.sessions.products import goal_standing, write_report
-    from rotcal_ros.sessions.verification import verify
+    from rotcal_ros.sessions.products import session_goal_standing, write_report
+    from rotcal_ros.sessions.verification import run_verification
 
     click.get_current_context().with_resource(lasting_output(folder / "verify.log"))
-    verified = verify(folder, _loaded)
+    verified = run_verification(folder, _loaded)
     if verified is None:
         return INTERRUPTED
     verification, written = verified
@@ -285,7 +296,7 @@ def _verify(folder: Path, as_json: bool) -> int:
         tell(f"verification:  {folder / VERIFICATION}")
         tell(f"report:        {session.report}")
         _print(verification)
-        if (standing := goal_standing(session)) is not None:
+        if (standing := session_goal_standing(session)) is not None:
             tell(standing.describe())
     return VERDICT_EXIT_CODES[verification.verdict]
 

@@ -56,7 +56,9 @@ class FrameTree:
     """
 
     def __init__(self, frames: Iterable[StaticFrame]) -> None:
-        self._parents = {_name(f.child): (_name(f.parent), pose_of(f)) for f in frames if f.usable}
+        self._parents = {
+            _name(f.child): (_name(f.parent), pose_from_frame(f)) for f in frames if f.usable
+        }
 
     def __contains__(self, frame: str) -> bool:
         name = _name(frame)
@@ -80,7 +82,7 @@ class FrameTree:
         return found
 
 
-def pose_of(frame: StaticFrame) -> Pose:
+def pose_from_frame(frame: StaticFrame) -> Pose:
     """Return a transform as a pose; its quaternion is scaled to norm 1 (it must not be 0)."""
     x, y, z, w = np.asarray(frame.rotation) / np.linalg.norm(frame.rotation)
     axes = np.array(

@@ -42,14 +42,18 @@ def rotation_about_z(angle: ArrayLike) -> Floats:
     return matrix
 
 
-def carried(place: tuple[float, float, float], angle: float) -> tuple[float, float, float]:
+def rotate_about_table_axis(
+    place: tuple[float, float, float], angle: float
+) -> tuple[float, float, float]:
     """Return where ``place`` (m) gets when the table turns by ``angle`` (rad) about +z."""
     x, y, z = place
     c, s = cos(angle), sin(angle)
     return c * x - s * y, s * x + c * y, z
 
 
-def on_table(mount: ArrayLike, table_angles: ArrayLike, centre: ArrayLike = (0.0, 0.0)) -> Floats:
+def positions_on_table(
+    mount: ArrayLike, table_angles: ArrayLike, centre: ArrayLike = (0.0, 0.0)
+) -> Floats:
     """Return the places (m, 3), m, of what the table carries from ``mount`` (3,), at each angle.
 
     ``table_angles`` (m,), rad; ``centre`` (2,), m: where the table's axis meets the xy-plane.
@@ -77,7 +81,7 @@ MIN_ASPECT: Final = 0.01
 """Points whose extent across their longest direction is below this share lie "in a line"."""
 
 
-def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
+def fit_rigid_transform(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     """Return rotation (..., 3, 3) and translation (..., 3) of least squares in closed form.
 
     ``target = rotation @ source + translation``; both sets are (..., n, 3) in metres. Never

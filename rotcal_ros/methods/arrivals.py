@@ -33,7 +33,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Directions, RepeatedRuns, Result
 from rotcal_ros.methods.added_errors import as_small, from_zero, with_steps
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.planning.table_angles import table_angles, visits
+from rotcal_ros.planning.table_angles import planned_arrivals, table_angles
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +85,8 @@ class Arrivals:
 
 
 def arrivals_of(angles: Sequence[float], runs: int, *, bidirectional: bool) -> Arrivals:
-    """Return the arrivals of all table positions of :func:`visits` at ``angles`` (rad)."""
-    every = visits(len(angles), runs, bidirectional)
+    """Return all :func:`planned_arrivals` at table positions with ``angles`` (rad)."""
+    every = planned_arrivals(len(angles), runs, bidirectional)
     return Arrivals(
         targets=np.array(angles),
         target=np.array([visit.target for visit in every]),

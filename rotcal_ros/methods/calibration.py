@@ -27,14 +27,14 @@ from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
 from rotcal_ros.geometry.frames import StaticFrame
-from rotcal_ros.geometry.rotations import carried
+from rotcal_ros.geometry.rotations import rotate_about_table_axis
 from rotcal_ros.methods.added_errors import arrival_std, require_settled, with_clock_errors
 from rotcal_ros.methods.air import Refraction
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.configuration import Configuration, read_policy
 from rotcal_ros.methods.continuation import Continuation, continued
 from rotcal_ros.methods.method import Adaptive, Method, Stations, Trials
-from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL, AsListed, Policy
+from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL, ListedPolicy, StepPolicy
 from rotcal_ros.planning.plan import Plan, Point, Step
 
 if TYPE_CHECKING:
@@ -266,7 +266,7 @@ class Calibration:
         if not places:
             return None
         place = places[step.station if step.station < len(places) else 0]
-        return carried(place, step.table_angle) if rides else place
+        return rotate_about_table_axis(place, step.table_angle) if rides else place
 
     def place_on_table(self) -> Point | None:
         """Return where an instrument rides on the table, at angle 0; None: none is known to."""
@@ -343,13 +343,13 @@ class Calibration:
             raw_data=RawData.of(used, _DATED_NS),
         )
 
-    def policy(self, continuation: Continuation) -> Policy:
+    def policy(self, continuation: Continuation) -> StepPolicy:
         """Return the policy of the configuration, ready to choose what ``continuation`` leaves.
 
         Raises ConfigurationError or PlanError when it cannot be followed.
         """
         if self.configuration.planner.policy == AS_LISTED:
-            return AsListed(continuation.steps)
+            return ListedPolicy(continuation.steps)
         if self.method.adaptive is None:
             raise ConfigurationError(
                 f"{self.configuration.source}: planner: policy: the method {self.method.name} has "

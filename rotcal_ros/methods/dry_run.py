@@ -16,10 +16,10 @@ from rotcal_ros.foundation.protection import Effect
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.check_lines import CheckLine, State
-from rotcal_ros.planning.approach import way_to
+from rotcal_ros.planning.approach import path_to
 from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.planning.sequence_time import stated_time
+from rotcal_ros.planning.sequence_time import constant_time_model
 
 PART = "plan"
 QUICK = 1000
@@ -123,7 +123,7 @@ class DryRun:
         before = None
         for step in self._steps:
             if (step.table_angle, step.approach) != before:
-                way = way_to(step.table_angle, step.approach, here, settings)
+                way = path_to(step.table_angle, step.approach, here, settings)
                 here, seconds = way.goal, seconds + way.times_s[-1]
             before = step.table_angle, step.approach
         return seconds
@@ -192,7 +192,7 @@ class DryRun:
             turn_s = planner.turn_s
             turns_s = turn_s if first_turn else 0.0
             turning = f"{turn_s:g} s for a turn (planner.turn_s)"
-        seconds = stated_time(turn_s, length_s).seconds(self._steps) + length_s + turns_s
+        seconds = constant_time_model(turn_s, length_s).seconds(self._steps) + length_s + turns_s
         window = f", of which settling and readings {least:.2g} s" if least else ""
         return seconds, f"{turning} and {length_s:g} s for a step (planner.step_s{window})"
 

@@ -11,8 +11,8 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.calibration import Calibration
-from rotcal_ros.planning.choices import Choice
-from rotcal_ros.planning.plan import Compared
+from rotcal_ros.planning.choices import StepChoice
+from rotcal_ros.planning.plan import PlanComparison
 
 UNFINISHED = "it has not: the measurement was interrupted"
 
@@ -32,7 +32,7 @@ class GoalStanding:
     measured: int
     candidates: int
     reason: str
-    compared: Compared
+    compared: PlanComparison
 
     def describe(self) -> str:
         """Return one short line for the terminal."""
@@ -49,7 +49,7 @@ class GoalStanding:
 def goal_standing(
     calibration: Calibration,
     result: Result,
-    choices: Sequence[Choice],
+    choices: Sequence[StepChoice],
     observations: Sequence[Observation],
 ) -> GoalStanding | None:
     """Return how ``result`` stands to the goal of the policy; None without goal or ``choices``."""

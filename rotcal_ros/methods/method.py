@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.simulation.cell import SimulatedCell
     from rotcal_ros.methods.simulation.instrument import MakeInstrument
     from rotcal_ros.methods.simulation.settings import SimulationSettings
-    from rotcal_ros.planning.choices import Policy
-    from rotcal_ros.planning.plan import Compared, Plan, Point, Step
+    from rotcal_ros.planning.choices import StepPolicy
+    from rotcal_ros.planning.plan import Plan, PlanComparison, Point, Step
 
 Trials: TypeAlias = "Callable[[np.random.Generator, int], Floats]"
 """``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
 Curves: TypeAlias = "Mapping[str, Floats]"
 Observed: TypeAlias = "Sequence[Observation]"
-Adaptive: TypeAlias = "Callable[[Continuation], Policy]"
+Adaptive: TypeAlias = "Callable[[Continuation], StepPolicy]"
 """Makes a policy that chooses what a continuation leaves."""
 See: TypeAlias = "Callable[[Step], tuple[float, ...]]"
 """What an instrument without error sees at a step."""
@@ -187,9 +187,9 @@ class Method:
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
     adaptive: Callable[[Configuration, Plan], Adaptive] | None = None
-    compare: Callable[[Configuration, Plan, Sequence[int], Collection[int]], Compared] | None = (
-        None
-    )
+    compare: (
+        Callable[[Configuration, Plan, Sequence[int], Collection[int]], PlanComparison] | None
+    ) = None
     check_plan: Callable[[Configuration, Plan], None] | None = None
     plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
     table: TableReader | None = None

@@ -17,11 +17,11 @@ import numpy as np
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
-from rotcal_ros.geometry.rotations import carried
+from rotcal_ros.geometry.rotations import rotate_about_table_axis
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.check_lines import CellReport, CheckLine
 from rotcal_ros.planning.plan import Point
-from rotcal_ros.planning.table_feedback import in_degrees, is_near
+from rotcal_ros.planning.table_feedback import is_near, looks_like_degrees
 
 PART: Final = "motion"
 TRIAL_DEG: Final = 5.0
@@ -106,7 +106,7 @@ class TrialMotion:
         if self._began_s is None:
             todo = "see whether the table is free to move, and whether its driver obeys"
             return CheckLine(PART, "sign", "missing", f"{found}: the table has not moved", todo)
-        if in_degrees(end, goal):
+        if looks_like_degrees(end, goal):
             found += ": the feedback is in degrees"
             return CheckLine(PART, "sign", "missing", found, "publish the feedback in rad")
         if self._near(end, goal * DEGREE):
@@ -219,7 +219,9 @@ def beams_of(calibration: Calibration, motion: TrialMotion) -> tuple[float, floa
     first, last = motion.start, motion.start + motion.way
 
     def change(sign: float) -> float:
-        return dist(probe, carried(place, sign * last)) - dist(probe, carried(place, sign * first))
+        return dist(probe, rotate_about_table_axis(place, sign * last)) - dist(
+            probe, rotate_about_table_axis(place, sign * first)
+        )
 
     return change(1.0), change(-1.0)
 

@@ -12,8 +12,8 @@ from collections.abc import Collection
 from typing import Final
 
 from rotcal_ros.nodes.runtime.health import Health
-from rotcal_ros.nodes.runtime.managed_node import not_active
-from rotcal_ros.nodes.runtime.running import EndRequest, Peer, run_and_exit
+from rotcal_ros.nodes.runtime.managed_node import inactive_node_hints
+from rotcal_ros.nodes.runtime.running import EndRequest, PeerNode, run_and_exit
 
 REMIND_S: Final = 15.0
 _TURN_S: Final = 0.2
@@ -28,29 +28,29 @@ deactivate a node:      ros2 lifecycle set {place}/capture deactivate
 'rotcal run CONFIG' would start nodes of its own; 'rotcal attach' shows what it has started."""
 
 
-def waiting_for(health: Health, names: Collection[str]) -> list[str]:
+def inactive_node_lines(health: Health, names: Collection[str]) -> list[str]:
     """Return which nodes are not active, and what to do about it."""
     absent = health.missing(names)
-    idle = not_active(health, [name for name in names if name not in absent])
+    idle = inactive_node_hints(health, [name for name in names if name not in absent])
     return idle + [f"node {name} is not there (yet)" for name in absent]
 
 
-def what_next(place: str, names: Collection[str], domain: str) -> str:
+def next_steps(place: str, names: Collection[str], domain: str) -> str:
     """Return what to do when all nodes of the namespace ``place`` are active."""
     shell = f"in a shell with      ROS_DOMAIN_ID={domain}\n" if domain else ""
     return NEXT.format(place=place.rstrip("/"), names=", ".join(names), shell=shell)
 
 
 def _wait(place: str, names: Collection[str]) -> None:
-    end, peer = EndRequest(), Peer("readiness", place)
+    end, peer = EndRequest(), PeerNode("readiness", place)
     health = Health(peer.node, None)
     remind_s = time.monotonic() + REMIND_S
     reminded: list[str] = []
     while not end:
         peer.work_until(lambda: bool(end), _TURN_S)
-        waiting = waiting_for(health, names)
+        waiting = inactive_node_lines(health, names)
         if not waiting:
-            _say(what_next(place, names, os.environ.get("ROS_DOMAIN_ID", "")))
+            _say(next_steps(place, names, os.environ.get("ROS_DOMAIN_ID", "")))
             break
         if time.monotonic() > remind_s and waiting != reminded:
             _say("still waiting: " + "; ".join(waiting))

@@ -40,7 +40,7 @@ from rotcal_ros.foundation.escapes import printable_data
 from rotcal_ros.foundation.language import language, language_codes, phrase
 from rotcal_ros.foundation.untrusted import load_json
 from rotcal_ros.page.settings import LOOPBACK, PageSettings
-from rotcal_ros.page.state import Board, PageState, changes, plain
+from rotcal_ros.page.state import PageState, StateBoard, json_value, state_changes
 
 STATIC: Final = Path(__file__).with_name("static")
 LOOK_PERIOD_S: Final = 0.2
@@ -52,27 +52,29 @@ MOST_BYTES: Final = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ActionOutcome:
     """The outcome of a request, in words."""
 
     success: bool
     message: str
 
 
-class Actions(Protocol):
+class OperatorActions(Protocol):
     """The requests of a person to the cell; each takes its time."""
 
-    def resume(self, instruction: str) -> Future[Answer]:
+    def resume(self, instruction: str) -> Future[ActionOutcome]:
         """Go on after the work that this instruction asked for, and no other."""
 
-    def stop(self) -> Future[Answer]:
+    def stop(self) -> Future[ActionOutcome]:
         """End the calibration with a valid bag."""
 
-    def apply(self, confirmation: str, secret: str) -> Future[Answer]:
+    def apply(self, confirmation: str, secret: str) -> Future[ActionOutcome]:
         """Feed the table with this confirmation to the controller."""
 
 
-def make_app(board: Board, actions: Actions, host: str, password: Secret | None = None) -> Guard:
+def make_app(
+    board: StateBoard, actions: OperatorActions, host: str, password: Secret | None = None
+) -> RequestGuard:
     """Return the application, guarded; ``host`` is the interface that it is served on."""
 
     async def index(_request: Request) -> Response:
@@ -85,7 +87,7 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
         asked = await _asked(request, "instruction")
         if asked is None:
             return _response(
-                Answer(False, phrase("expected the instruction that was carried out")), 400
+                ActionOutcome(False, phrase("expected the instruction that was carried out")), 400
             )
         return await _answered(actions.resume(*asked))
 
@@ -95,15 +97,17 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     async def apply(request: Request) -> Response:
         asked = await _asked(request, "confirmation", "secret")
         if asked is None:
-            return _response(Answer(False, phrase("expected a confirmation and a secret")), 400)
+            return _response(
+                ActionOutcome(False, phrase("expected a confirmation and a secret")), 400
+            )
         return await _answered(actions.apply(*asked))
 
-    guard = Guard(
+    guard = RequestGuard(
         Starlette(
             routes=[
                 Route("/", index),
                 Route("/events", events),
-                Route("/words", words),
+                Route("/words", translation_catalogues),
                 Route("/resume", resume, methods=["POST"]),
                 Route("/stop", stop, methods=["POST"]),
                 Route("/apply", apply, methods=["POST"]),
@@ -116,19 +120,19 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     return guard
 
 
-async def words(_request: Request) -> Response:
+async def translation_catalogues(_request: Request) -> Response:
     """Answer with the catalogues of all languages but English."""
     return JSONResponse({code: language(code).texts for code in language_codes()[1:]})
 
 
-async def _events(board: Board, token: str) -> AsyncIterator[dict[str, str]]:
+async def _events(board: StateBoard, token: str) -> AsyncIterator[dict[str, str]]:
     """Yield the whole state, then what changes; a tick where nothing does."""
     seen: PageState | None = None
     sent_s = 0.0
     while seen is None or not seen.ended:
         state = board.state
         if state is not seen:
-            data = {**changes(seen, state), "time_s": time.time()}
+            data = {**state_changes(seen, state), "time_s": time.time()}
             yield _event("change" if seen else "state", data if seen else {**data, "token": token})
             seen, sent_s = state, time.monotonic()
         elif time.monotonic() - sent_s >= TICK_PERIOD_S:
@@ -143,12 +147,12 @@ def _event(name: str, data: dict[str, Any]) -> dict[str, str]:
 
 async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:
     """Return the texts that a request carries as JSON, None for any other request."""
-    found = await json_of(request, MOST_BYTES)
+    found = await json_fields(request, MOST_BYTES)
     texts = tuple(text for name in names if isinstance(text := found.get(name), str))
     return texts if len(texts) == len(names) else None
 
 
-async def json_of(request: Request, most_bytes: int) -> dict[str, Any]:
+async def json_fields(request: Request, most_bytes: int) -> dict[str, Any]:
     """Return the group of values that a request carries as JSON, empty for any other request."""
     body = b""
     async for part in request.stream():
@@ -162,19 +166,19 @@ async def json_of(request: Request, most_bytes: int) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-async def _answered(future: Future[Answer]) -> Response:
+async def _answered(future: Future[ActionOutcome]) -> Response:
     try:
         # Shielded: to a canceled future the cell could not give its late answer.
         waiting = asyncio.shield(asyncio.wrap_future(future))
         answer = await asyncio.wait_for(waiting, ANSWER_TIMEOUT_S)
     except asyncio.TimeoutError:
         waited = phrase("no response from the cell for {0} s", f"{ANSWER_TIMEOUT_S:g}")
-        return _response(Answer(False, waited), 504)
+        return _response(ActionOutcome(False, waited), 504)
     return _response(answer, 200 if answer.success else 409)
 
 
-def _response(answer: Answer, status: int) -> Response:
-    return JSONResponse({"success": answer.success, "message": plain(answer.message)}, status)
+def _response(answer: ActionOutcome, status: int) -> Response:
+    return JSONResponse({"success": answer.success, "message": json_value(answer.message)}, status)
 
 
 TOKEN_HEADER: Final = "x-rotcal-token"
@@ -191,7 +195,7 @@ HEADERS: Final = {
 SAFE: Final = ("GET", "HEAD")
 
 
-class Guard:
+class RequestGuard:
     """Lets through what comes from the page itself; every answer carries HEADERS.
 
     ``password`` None: everybody who reaches the page may see and use it. ``token`` is new at every
@@ -271,10 +275,12 @@ class PageServer:
     Raises ConfigurationError when the port is taken or the password cannot be read.
     """
 
-    def __init__(self, settings: PageSettings, board: Board, actions: Actions) -> None:
+    def __init__(
+        self, settings: PageSettings, board: StateBoard, actions: OperatorActions
+    ) -> None:
         password = Secret(Path(settings.password_file)) if settings.password_file else None
         host = LOOPBACK if settings.host == "localhost" else settings.host
-        listening = listen(host, settings.port)
+        listening = listening_socket(host, settings.port)
         port = listening.getsockname()[1]
         self.address = f"http://{_name(host)}:{port}"
         self._board = board
@@ -311,7 +317,7 @@ def _name(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def listen(host: str, port: int) -> socket.socket:
+def listening_socket(host: str, port: int) -> socket.socket:
     """Return a socket that listens; ConfigurationError when the port is taken."""
     family = socket.AF_INET6 if isinstance(ip_address(host), IPv6Address) else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)

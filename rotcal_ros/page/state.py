@@ -41,7 +41,7 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Now:
+class CurrentActivity:
     """What happens now, large; ``resume`` and ``stop`` are what a person may do.
 
     ``instruction`` is the work whose end ``resume`` reports, ``command`` the command line that
@@ -143,7 +143,7 @@ class PlanView:
 
 
 @dataclass(frozen=True, slots=True)
-class Pointing:
+class OrderedStep:
     """The step that was ordered last; ``stand`` is None if there is no beam."""
 
     place: str
@@ -154,7 +154,7 @@ class Pointing:
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class OperatorTask:
     """What a person brings where: ``what`` to place ``number`` of ``count``, both from 1.
 
     ``station`` is its number in the data. ``at`` is where it shall stand, m, x y z: on the table
@@ -278,13 +278,13 @@ class PageState:
     """
 
     cell: Cell = Cell()
-    now: Now = Now()
+    now: CurrentActivity = CurrentActivity()
     steps: StepProgress | None = None
     deviations: Deviations | None = None
     standing: ShownUncertainty = ShownUncertainty()
     view: PlanView | None = None
-    pointing: Pointing | None = None
-    task: Task | None = None
+    pointing: OrderedStep | None = None
+    task: OperatorTask | None = None
     table_deg: float | None = None
     lengths: LiveReading | None = None
     length_course: Points = ()
@@ -301,30 +301,30 @@ class PageState:
 NAMES: Final = tuple(field.name for field in fields(PageState))
 
 
-def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
+def state_changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
     """Return what has to be sent to a viewer who has ``seen`` a state; all of it for None."""
     return {
-        name: plain(getattr(state, name))
+        name: json_value(getattr(state, name))
         for name in NAMES
         if seen is None or getattr(seen, name) != getattr(state, name)
     }
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """Return what JSON can hold: of a phrase its parts; NaN and infinity become None."""
     if isinstance(value, Phrase):
-        return [value.template, *map(plain, value.shown)]
+        return [value.template, *map(json_value, value.shown)]
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: json_value(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):
-        return [plain(item) for item in value]
+        return [json_value(item) for item in value]
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
 COURSE_POINTS: Final = 240
 
 
-class Board:
+class StateBoard:
     """Holds the present state. One thread changes it, any number look at it.
 
     A viewer remembers the state it has seen, so that nothing is queued for a slow one.
@@ -338,7 +338,7 @@ class Board:
         self.state = replace(self.state, **sections)
 
 
-class Course:
+class ValueHistory:
     """The course of a value over any time, thinned to at most ``limit`` points."""
 
     def __init__(self, limit: int = COURSE_POINTS) -> None:
@@ -394,7 +394,7 @@ _STOPS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class HeardPlanner:
+class PlannerStatus:
     """What was heard of the planner and its goal.
 
     ``planner`` is its state, UNKNOWN if it is not there; ``silent``: it was there and fell silent.
@@ -409,7 +409,7 @@ class HeardPlanner:
     doing: Why = Why.UNKNOWN
     activity: str = ""
     instruction: str = ""
-    task: Task | None = None
+    task: OperatorTask | None = None
     stopping: bool = False
     ended: bool = False
     canceled: bool = False
@@ -418,41 +418,41 @@ class HeardPlanner:
     command: str = ""
 
 
-def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
+def current_activity(heard: PlannerStatus, offer: ShownOffer | None = None) -> CurrentActivity:
     """Return the large line; ``offer`` is a table that waits for a person."""
     if heard.silent:
         detail = _sentence(heard.error) or phrase("Nothing moves.")
-        return Now("failed", phrase("The planner no longer answers"), detail)
+        return CurrentActivity("failed", phrase("The planner no longer answers"), detail)
     here = heard.planner.state is not State.UNKNOWN
     if here and heard.calibrating:
         return _calibrating(heard)
     if offer is not None and not (offer.why_not or offer.applied):
-        return Now("confirm", phrase("A table waits for your confirmation"),
+        return CurrentActivity("confirm", phrase("A table waits for your confirmation"),
                    phrase("See below what it changes."))  # fmt: skip
-    return _after_the_end(heard) or (_ready(heard.planner) if here else Now())
+    return _after_the_end(heard) or (_ready(heard.planner) if here else CurrentActivity())
 
 
-def _ready(planner: NodeState) -> Now:
+def _ready(planner: NodeState) -> CurrentActivity:
     words = phrase("The planner is {0}: no calibration runs.", planner.describe())
-    return Now("ready", phrase("Ready"), words)
+    return CurrentActivity("ready", phrase("Ready"), words)
 
 
-def _calibrating(heard: HeardPlanner) -> Now:
+def _calibrating(heard: PlannerStatus) -> CurrentActivity:
     if heard.stopping:
-        return Now("stopping", phrase("Stopping"), phrase("The bag is being closed."))
+        return CurrentActivity("stopping", phrase("Stopping"), phrase("The bag is being closed."))
     if heard.instruction:
         headline, detail = _asked(heard)
         stopped = heard.doing in STOPS
-        return Now("emergency" if stopped else "person", headline, detail,
+        return CurrentActivity("emergency" if stopped else "person", headline, detail,
                    resume=not stopped or heard.doing in RELEASED, stop=True,
                    instruction=heard.instruction)  # fmt: skip
     if heard.doing in _HEADLINES:
-        return Now("measuring", _HEADLINES[heard.doing], stop=True)
+        return CurrentActivity("measuring", _HEADLINES[heard.doing], stop=True)
     headline = phrase("Measuring") if heard.activity else phrase("Starting")
-    return Now("measuring", headline, _sentence(heard.activity), stop=True)
+    return CurrentActivity("measuring", headline, _sentence(heard.activity), stop=True)
 
 
-def _asked(heard: HeardPlanner) -> tuple[str, str]:
+def _asked(heard: PlannerStatus) -> tuple[str, str]:
     """Return what a person has to do: its headline, and more about it."""
     task = heard.task
     if task is not None and heard.doing is Why.WORK:
@@ -471,15 +471,17 @@ def _asked(heard: HeardPlanner) -> tuple[str, str]:
     return _sentence(what), phrase("{0} {1}", _sentence(more), PRESS) if more else PRESS
 
 
-def _after_the_end(heard: HeardPlanner) -> Now | None:
+def _after_the_end(heard: PlannerStatus) -> CurrentActivity | None:
     if not heard.ended:
         return None
     if heard.canceled:
-        return Now("stopped", phrase("Stopped"), _sentence(heard.error), command=heard.command)
+        return CurrentActivity(
+            "stopped", phrase("Stopped"), _sentence(heard.error), command=heard.command
+        )
     if heard.error:
         headline = phrase("The calibration ended without a result")
-        return Now("failed", headline, _sentence(heard.error), command=heard.command)
-    return Now("done", phrase("Finished, measurement {0}", phrase(heard.verdict)),
+        return CurrentActivity("failed", headline, _sentence(heard.error), command=heard.command)
+    return CurrentActivity("done", phrase("Finished, measurement {0}", phrase(heard.verdict)),
                phrase("The result and its bag are on disk."))  # fmt: skip
 
 

@@ -34,7 +34,7 @@ def require_rest(turn_speed: float) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class JointPath:
     """The ``angles`` (rad) that a joint is sent to one after the other, at rest in each.
 
     ``start`` is where it stands, ``times_s`` when it shall be at each angle, ``velocity`` (rad/s)
@@ -67,7 +67,9 @@ class Way:
         return stops[leg] + angle, speed
 
 
-def approached(here: float, goal: float, approach: Approach, run_up: float) -> tuple[float, ...]:
+def approach_angles(
+    here: float, goal: float, approach: Approach, run_up: float
+) -> tuple[float, ...]:
     """Return the angles to stop at on the way from ``here`` to ``goal`` (all rad).
 
     An ordered side is kept on at least the last ``run_up``: a table that is nearer, or beyond,
@@ -79,7 +81,9 @@ def approached(here: float, goal: float, approach: Approach, run_up: float) -> t
     return (goal - towards * run_up, goal)
 
 
-def way_to(angle: float, approach: Approach, start: float, settings: TableAdapterSettings) -> Way:
+def path_to(
+    angle: float, approach: Approach, start: float, settings: TableAdapterSettings
+) -> JointPath:
     """Return the shortest way from ``start`` to a table ``angle`` (any turn of it).
 
     An ordered ``approach`` is kept on at least the last ``overshoot_deg``. Raises DataError if the
@@ -87,7 +91,7 @@ def way_to(angle: float, approach: Approach, start: float, settings: TableAdapte
     """
     run_up = settings.overshoot_deg * DEGREE
     goals = _turns(angle, start, settings)
-    ways = (approached(start, goal, approach, run_up) for goal in goals)
+    ways = (approach_angles(start, goal, approach, run_up) for goal in goals)
     possible = [legs for legs in ways if _within(legs, settings)]
     if not possible:
         raise DataError(
@@ -99,10 +103,10 @@ def way_to(angle: float, approach: Approach, start: float, settings: TableAdapte
     angles = min(possible, key=lambda legs: (_length(start, legs), legs))
     stops = (start, *angles)
     times = accumulate(_duration_s(abs(b - a), settings) for a, b in pairwise(stops))
-    return Way(start, angles, tuple(times))
+    return JointPath(start, angles, tuple(times))
 
 
-def way_to_rest(angle: float, velocity: float, settings: TableAdapterSettings) -> Way:
+def stopping_path(angle: float, velocity: float, settings: TableAdapterSettings) -> JointPath:
     """Return the way on which a joint that moves (rad/s) comes to rest from ``angle`` (rad).
 
     A cubic from this velocity to rest over half the time and distance brakes evenly; if the
@@ -110,7 +114,7 @@ def way_to_rest(angle: float, velocity: float, settings: TableAdapterSettings) -
     """
     velocity = velocity if isfinite(velocity) else 0.0
     time_s = max(abs(velocity) / (settings.acceleration_deg_s2 * DEGREE), SHORTEST_S)
-    return Way(angle, (angle + velocity * time_s / 2,), (time_s,), velocity)
+    return JointPath(angle, (angle + velocity * time_s / 2,), (time_s,), velocity)
 
 
 def _turns(angle: float, start: float, settings: TableAdapterSettings) -> Iterator[float]:

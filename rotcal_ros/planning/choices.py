@@ -13,7 +13,7 @@ from rotcal_ros.foundation.observations import Observation
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class PolicyProgress:
     """How far a policy has come.
 
     ``uncertainty`` is the present expanded uncertainty (k = 2), ``goal`` the wanted one, both in
@@ -27,14 +27,14 @@ class Standing:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class StepChoice:
     """The next ``step`` of the plan and the ``reason`` for it; None: nothing more is measured."""
 
     step: int | None
     reason: Phrase
-    standing: Standing
+    standing: PolicyProgress
 
-    def same_as(self, other: Choice) -> bool:
+    def same_as(self, other: StepChoice) -> bool:
         """Return whether both choose the same, for the same reason, to the last bit."""
         mine, theirs = self.standing, other.standing
         pairs = ((mine.uncertainty, theirs.uncertainty), (mine.goal, theirs.goal))
@@ -52,14 +52,14 @@ class StepOutcome:
     observation: Observation | None
 
 
-class Policy(Protocol):
+class StepPolicy(Protocol):
     """Chooses step by step: ``choose`` and ``note`` are called in turn.
 
     A policy depends only on its constructor's arguments and what ``note`` gives it: the same
     outcomes lead to the same choices.
     """
 
-    def choose(self) -> Choice:
+    def choose(self) -> StepChoice:
         """Return the next step, or that there is none, in less than 50 ms."""
 
     def note(self, outcome: StepOutcome) -> None:
@@ -70,17 +70,19 @@ AS_LISTED: Final = "as_listed"
 UNTIL_GOAL: Final = "until_goal"
 
 
-class AsListed:
+class ListedPolicy:
     """Measures ``steps`` in order; a step that is given up is not tried again."""
 
     def __init__(self, steps: Iterable[int]) -> None:
         self._left = deque(steps)
 
-    def choose(self) -> Choice:
+    def choose(self) -> StepChoice:
         """Return the next step of the list."""
         if not self._left:
-            return Choice(None, phrase("all planned steps are done"), Standing(0))
-        return Choice(self._left[0], phrase("next of the list"), Standing(len(self._left)))
+            return StepChoice(None, phrase("all planned steps are done"), PolicyProgress(0))
+        return StepChoice(
+            self._left[0], phrase("next of the list"), PolicyProgress(len(self._left))
+        )
 
     def note(self, outcome: StepOutcome) -> None:
         """Remove the step from the list if it is the next one."""

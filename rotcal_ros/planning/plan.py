@@ -132,7 +132,7 @@ def numbered_steps(
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class OperatorMove:
     """What a pause is for: ``what`` is brought to ``station``, at ``position`` (m) in ``frame``.
 
     Without a position the plan knows no place: the instruction says what has to be turned, and
@@ -159,7 +159,7 @@ class Pause:
     last: int
     instruction: str
     again_from: int | None = None
-    move: Move | None = None
+    move: OperatorMove | None = None
 
 
 def pauses_at_stations(
@@ -173,7 +173,7 @@ def pauses_at_stations(
     for step in steps:
         first.setdefault(step.station, step.index)
     return tuple(
-        Pause(index, index, instructions[station], move=Move(what, station))
+        Pause(index, index, instructions[station], move=OperatorMove(what, station))
         for station, index in first.items()
     )
 
@@ -253,7 +253,7 @@ class PlanFigures:
 
 
 @dataclass(frozen=True)
-class Compared:
+class PlanComparison:
     """What was measured (``own``) and the paper's plan, both with ``length_std`` (m) planned."""
 
     own: PlanFigures

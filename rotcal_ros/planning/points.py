@@ -13,7 +13,7 @@ from rotcal_ros.planning.plan import Point
 _ROUNDING: Final = 1e-9
 
 
-def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
+def parse_points(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
     """Return a flat list of coordinates as points; PlanError if it does not consist of triples."""
     if len(values) % 3:
         raise PlanError(f"plan: {name} has {len(values)} values, expected x y z of each point")
@@ -21,7 +21,7 @@ def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
     return tuple((x, y, z) for x, y, z in rows)
 
 
-def block(
+def serpentine_grid(
     centre: Point, size: tuple[float, float, float], points: tuple[int, int, int]
 ) -> tuple[Point, ...]:
     """Return the places (m), layer by layer in a serpentine: neighbours are close together.
@@ -45,12 +45,12 @@ def _zigzag(row: int) -> int:
     return -1 if row % 2 else 1
 
 
-def in_a_line(points: Floats) -> bool:
+def are_collinear(points: Floats) -> bool:
     """Return whether ``points`` (n, 3) lie on a line, or at one place, within rounding."""
     return _directions(points) < 2
 
 
-def in_a_plane(points: Floats) -> bool:
+def are_coplanar(points: Floats) -> bool:
     """Return whether ``points`` (n, 3) lie in a plane, or on a line, within rounding."""
     return _directions(points) < 3
 

@@ -11,7 +11,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Observation
 
 
-def time_order(observations: Sequence[Observation]) -> Ints:
+def time_ranks(observations: Sequence[Observation]) -> Ints:
     """Return the rank (k,) in time of each observation: by run, then by the end of its window.
 
     Observations without a time (plain tables) are in the order of the plan.
@@ -26,7 +26,7 @@ def time_order(observations: Sequence[Observation]) -> Ints:
     return rank
 
 
-def passes(station: Ints, position: Ints, order: Ints) -> Ints:
+def pass_numbers(station: Ints, position: Ints, order: Ints) -> Ints:
     """Return which pass through the table's positions each reading (n,) belongs to, in time.
 
     ``order``: their rank in time. A new pass begins with another ``station``, and where the table
@@ -64,7 +64,7 @@ class Readings:
         position, target, station = np.array(numbers, dtype=np.int64).reshape(-1, 3).T.copy()
         points = np.array([o.mean for o in observations]).reshape(len(observations), -1)
         value = points[:, 0].copy()
-        return cls(position, target, station, value, time_order(observations), points)
+        return cls(position, target, station, value, time_ranks(observations), points)
 
     @property
     def when(self) -> Floats:

@@ -94,7 +94,7 @@ class TimeModel:
         return np.asarray(both + self.dwell, dtype=np.float64)
 
 
-def duration(costs: Floats, order: Ints) -> float:
+def sequence_duration(costs: Floats, order: Ints) -> float:
     """Return the time (s) of all lengths in ``order`` (k,), from the end of the first one."""
     return float(costs[order[:-1], order[1:]].sum())
 
@@ -106,7 +106,7 @@ HARDLY: Final = Drive(1e5, AT_ONCE)
 """A machine whose moves are in the time of a length: of equal orders the shorter path wins."""
 
 
-def stated_time(turn: float, length: float, machine: Drive = HARDLY) -> TimeModel:
+def constant_time_model(turn: float, length: float, machine: Drive = HARDLY) -> TimeModel:
     """Return the time model of ``turn`` (s) for any rotation and ``length`` (s) for any length."""
     table, together = Drive(AT_ONCE, AT_ONCE, settle=turn), machine is not HARDLY
     return TimeModel(table, machine, dwell=length, together=together)

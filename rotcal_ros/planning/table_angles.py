@@ -62,7 +62,7 @@ def table_angles(settings: TableAngleSettings) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
+class Arrival:
     """One arrival of the table at target angle number ``target`` in ``run``, from one side."""
 
     target: int
@@ -70,7 +70,7 @@ class Visit:
     approach: Approach
 
 
-def visits(targets: int, runs: int, bidirectional: bool) -> tuple[Visit, ...]:
+def planned_arrivals(targets: int, runs: int, bidirectional: bool) -> tuple[Arrival, ...]:
     """Return all arrivals: up through all ``targets`` angles, and down again if ``bidirectional``.
 
     Every run is complete before the next begins.
@@ -79,7 +79,7 @@ def visits(targets: int, runs: int, bidirectional: bool) -> tuple[Visit, ...]:
     if bidirectional:
         ways.append((range(targets)[::-1], Approach.NEGATIVE))
     return tuple(
-        Visit(target, run, approach)
+        Arrival(target, run, approach)
         for run in range(runs)
         for order, approach in ways
         for target in order

@@ -26,7 +26,7 @@ def is_near(angle: float, commanded: float, tolerance: float) -> bool:
     return isfinite(angle) and abs(remainder(angle - commanded, 2.0 * pi)) <= tolerance
 
 
-def in_degrees(angle: float, commanded: float) -> bool:
+def looks_like_degrees(angle: float, commanded: float) -> bool:
     """Return whether a feedback ``angle`` is in degrees where the table was commanded to (rad).
 
     A small angle near a commanded zero decides nothing: it is near in either unit.
@@ -38,7 +38,7 @@ def in_degrees(angle: float, commanded: float) -> bool:
     return abs(off_deg) <= _SAME_DEG and of_size and abs(angle - commanded) > DEGREE
 
 
-def other_way(angle: float, commanded: float) -> bool:
+def looks_reversed(angle: float, commanded: float) -> bool:
     """Return whether a feedback ``angle`` (rad) is where the opposite one was commanded to.
 
     Near 0 and 180 degrees it decides nothing: there both are one.
@@ -78,7 +78,7 @@ class TableSpeed:
         return TableSample(stamp_ns, angle, speed)
 
 
-def without_joint(topic: str, joint: str, heard: Iterable[str]) -> str:
+def missing_joint_message(topic: str, joint: str, heard: Iterable[str]) -> str:
     """Say that a topic has no ``joint``, which joints it has, and which one is likely meant."""
     there = list(heard)
     alike = [name for name in there if name.endswith(joint) or joint.endswith(name)]

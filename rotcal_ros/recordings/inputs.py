@@ -20,14 +20,14 @@ from rotcal_ros.methods.configuration import (
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.recorded_setup import find_configuration
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
-from rotcal_ros.recordings.topics import Topics, of_one_cell
+from rotcal_ros.recordings.topics import Topics, read_single_cell
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.table_reading import Reading
 
 
 @dataclass(frozen=True)
-class Input:
+class MeasurementInput:
     """A bag or a table at ``path`` and what belongs to it.
 
     ``setup`` is the file of its configuration, which for a bag replaces the one in it; ``targets``
@@ -47,7 +47,7 @@ class Input:
     @property
     def plain(self) -> bool:
         """Whether there is a path and nothing else."""
-        return self == Input(self.path)
+        return self == MeasurementInput(self.path)
 
     def read(self, progress: Progress | None = None) -> Recording | Measurements:
         """Return what was measured, ready to be solved.
@@ -108,5 +108,5 @@ class Input:
         def found(topics: Topics) -> Configuration:
             return find_configuration(files, topics, limits)
 
-        recorded = of_one_cell(found, Topics(self.namespace), files, limits)
+        recorded = read_single_cell(found, Topics(self.namespace), files, limits)
         return changed(recorded, changes, OFFLINE_GROUPS)

@@ -31,7 +31,7 @@ _TYPE: Final = "rotcal_msgs/msg/Observation"
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class ObservationWindow:
     """The window of an accepted observation in log time (ns), as dropouts are.
 
     Stamps are those of the publisher's clock, which may differ from the recorder's or run at
@@ -48,7 +48,7 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedDropout:
+class DropoutWithSteps:
     """A dropout and the steps whose accepted observations it touches, ascending."""
 
     dropout: Dropout
@@ -70,35 +70,37 @@ class PlacedDropout:
         return {**self.dropout.to_dict(), "steps": list(self.steps)}
 
 
-def placed(
-    verdicts: Iterable[FileVerdict], windows: Iterable[Window]
-) -> tuple[PlacedDropout, ...]:
+def match_dropouts(
+    verdicts: Iterable[FileVerdict], windows: Iterable[ObservationWindow]
+) -> tuple[DropoutWithSteps, ...]:
     """Return all dropouts in the order of time, with the steps that they touch."""
     dropouts = [dropout for verdict in verdicts for dropout in verdict.dropouts]
     all_windows = list(windows)
     return tuple(
-        PlacedDropout(dropout, tuple(sorted({w.step for w in all_windows if w.touches(dropout)})))
+        DropoutWithSteps(
+            dropout, tuple(sorted({w.step for w in all_windows if w.touches(dropout)}))
+        )
         for dropout in sorted(dropouts, key=lambda dropout: dropout.from_ns)
     )
 
 
-def placed_in(
+def match_recorded_dropouts(
     verdicts: Sequence[FileVerdict], limits: ReadingLimits = DEFAULT_LIMITS
-) -> tuple[PlacedDropout, ...]:
-    """Return :func:`placed` with the observations in the files; reads them only if it must."""
+) -> tuple[DropoutWithSteps, ...]:
+    """Return :func:`match_dropouts` with the observations in the files, read only where needed."""
     if not any(verdict.dropouts for verdict in verdicts):
         return ()
-    return placed(verdicts, _windows(tuple(verdict.path for verdict in verdicts), limits))
+    return match_dropouts(verdicts, _windows(tuple(verdict.path for verdict in verdicts), limits))
 
 
-def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[Phrase, ...]:
+def describe_dropouts(dropouts: Sequence[DropoutWithSteps]) -> tuple[Phrase, ...]:
     """Return dropouts in words; where there are many, the first ones."""
     shown = tuple(dropout.sentence() for dropout in dropouts[:_SENTENCES])
     left = len(dropouts) - len(shown)
     return (*shown, phrase("and {0} more dropouts", left)) if left else shown
 
 
-def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]:
+def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[ObservationWindow]:
     """Yield the windows of the accepted observations that the live capture had published."""
     decoders: dict[ChannelDefinition, Decoder] = {}
     for scan, block in read_blocks(files, None, limits):
@@ -117,12 +119,12 @@ def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]
                 yield from _accepted(block.select(block.headers["channel"] == number), decoder)
 
 
-def _accepted(block: Block, decoder: Decoder) -> Iterator[Window]:
+def _accepted(block: Block, decoder: Decoder) -> Iterator[ObservationWindow]:
     for row, log_time_ns in enumerate(block.headers["log_time"].tolist()):
         message = decoder.message(block.payload(row))
         if message is not None and (observation := records.observation(message)).accepted:
             lasted_ns = observation.window_end_ns - observation.window_start_ns
-            yield Window(observation.step, log_time_ns - lasted_ns, log_time_ns)
+            yield ObservationWindow(observation.step, log_time_ns - lasted_ns, log_time_ns)
 
 
 _TOPICS: Final = {
@@ -172,7 +174,7 @@ def require_accepted(
     elif silent:
         reasons.append(phrase("nothing was read on {0}; {1}", ", ".join(silent), _present(topics)))
     elif counts.get("command", {}).get("unanswered"):
-        reasons.append(unanswered(counts["command"]))
+        reasons.append(missing_echo_warning(counts["command"]))
     else:
         reasons.append(phrase("its streams hold no complete step of the plan"))
     raise DataError(f"the bag yields no observation that was accepted: {'; '.join(reasons)}")
@@ -185,7 +187,7 @@ def _rejections(observations: Sequence[Observation]) -> Phrase:
     return phrase("all {0} were rejected, {1}", most_frequent.total, most_frequent.describe())
 
 
-def doubtful(
+def failed_attempt_warnings(
     observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
 ) -> tuple[Phrase, ...]:
     """Return what a reader should know about failed attempts if some succeeded.
@@ -218,7 +220,7 @@ def doubtful(
     ]
     commands = counts.get("command", {})
     if 2 * commands.get("unanswered", 0) > commands.get("received", 0):
-        texts.append(unanswered(commands))
+        texts.append(missing_echo_warning(commands))
     return tuple(texts)
 
 
@@ -233,7 +235,7 @@ def _failed_steps(observations: Sequence[Observation]) -> Phrase | None:
     return phrase(IN_VAIN, steps, len(done) + steps, most_frequent.describe())
 
 
-def unanswered(commands: Mapping[str, int]) -> Phrase:
+def missing_echo_warning(commands: Mapping[str, int]) -> Phrase:
     """Return a sentence: the machine did not echo its orders."""
     return phrase(
         ("{0} of {1} orders were not answered: a point on {2} must echo the step and "

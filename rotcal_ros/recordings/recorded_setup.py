@@ -30,7 +30,7 @@ from rotcal_ros.methods.configuration import (
     read_subject,
 )
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
+from rotcal_ros.planning.choices import AS_LISTED, PolicyProgress, StepChoice, StepOutcome
 from rotcal_ros.recordings.topics import Topics
 
 Decoders = dict[ChannelDefinition, Decoder]
@@ -105,7 +105,7 @@ def recorded_configurations(texts: Iterable[str]) -> Iterator[Configuration]:
             yield parse_configuration(text, names.CONFIGURATION, OFFLINE_GROUPS)
 
 
-def require_its_method(
+def require_same_method(
     configuration: Configuration, recorded: Iterable[Configuration], path: Path
 ) -> None:
     """Raise DataError when the method of ``configuration`` is not that of those ``recorded``."""
@@ -130,7 +130,9 @@ def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[S
         yield Identity(item=note.get("item", "")), note.get("simulated") == "true"
 
 
-def as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Configuration:
+def with_recorded_facts(
+    configuration: Configuration, subjects: Sequence[Subject]
+) -> Configuration:
     """Return the configuration with those facts of a recording that no set-up can change.
 
     A simulation stays one; who measured what is taken from the bag unless it is given. The first
@@ -171,20 +173,20 @@ class RecordedChoice:
     run: int
     number: int
     attempt: int
-    choice: Choice
+    choice: StepChoice
 
     @classmethod
     def of(cls, message: Any) -> RecordedChoice:
         """Return what a rotcal_msgs/StepChoice says."""
-        standing = Standing(message.left, message.uncertainty, message.goal)
+        standing = PolicyProgress(message.left, message.uncertainty, message.goal)
         step = None if message.stop else message.step
-        choice = Choice(
+        choice = StepChoice(
             step, coded_phrase(message.reason, getattr(message, "reason_code", None)), standing
         )
         return cls(message.run, message.number, message.attempt, choice)
 
 
-def differences(
+def policy_differences(
     calibration: methods.Calibration,
     choices: Sequence[RecordedChoice],
     observations: Iterable[Observation],
@@ -254,6 +256,6 @@ def _outcome(
     return StepOutcome(step, max(accepted, key=lambda o: o.attempt, default=None))
 
 
-def _in_words(choice: Choice) -> str:
+def _in_words(choice: StepChoice) -> str:
     step = "to stop" if choice.step is None else f"step {choice.step}"
     return f"{step} ({choice.reason}; {choice.standing.left} left)"

@@ -52,14 +52,14 @@ from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings import recorded_setup
 from rotcal_ros.recordings.missing_data import (
-    PlacedDropout,
-    doubtful,
-    placed_in,
+    DropoutWithSteps,
+    describe_dropouts,
+    failed_attempt_warnings,
+    match_recorded_dropouts,
     require_accepted,
-    sentences,
 )
 from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
-from rotcal_ros.recordings.topics import RoleMessages, Topics, of_one_cell
+from rotcal_ros.recordings.topics import RoleMessages, Topics, read_single_cell
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
@@ -110,7 +110,7 @@ class Recording:
     unreadable: Mapping[str, str] = field(default_factory=dict)
     clock: tuple[str, ...] = ()
     session: SessionVerdict = field(default_factory=SessionVerdict)
-    dropouts: tuple[PlacedDropout, ...] = ()
+    dropouts: tuple[DropoutWithSteps, ...] = ()
     foreign_plans: int = 0
     stream_faults: tuple[str, ...] = ()
 
@@ -129,7 +129,7 @@ class Recording:
         try:
             result = self.calibration.solve(self.observations, self.announced, self.frames)
         except DataError as error:
-            reasons = [str(error), *doubtful(self.observations, self.counts)]
+            reasons = [str(error), *failed_attempt_warnings(self.observations, self.counts)]
             raise type(error)("; ".join(reasons), error.log) from error
         return self.with_warnings(result)
 
@@ -201,7 +201,7 @@ class Recording:
             calibration = self._as_chosen()
             if calibration is None:
                 return ()
-            return recorded_setup.differences(calibration, self.choices, self.observations)
+            return recorded_setup.policy_differences(calibration, self.choices, self.observations)
         except RotcalError as error:
             return (phrase("the policy cannot choose again: {0}", error),)
 
@@ -215,8 +215,8 @@ class Recording:
         ]
         texts += losses_in_words(session_losses(self.verdicts))
         texts += unread_losses(self.verdicts)
-        texts += [*self.unreadable.values(), *self.clock, *sentences(self.dropouts)]
-        texts += doubtful(self.observations, self.counts)
+        texts += [*self.unreadable.values(), *self.clock, *describe_dropouts(self.dropouts)]
+        texts += failed_attempt_warnings(self.observations, self.counts)
         texts += _undecoded(self.broken)
         texts += _left_alone(self.verdicts)
         if self.foreign_plans:
@@ -254,12 +254,12 @@ def read_recording(
     """
     files = bag_files(path)
     require_one_session(files, limits)
-    asked = _Asked(path, files, source, configuration, progress, limits)
-    return of_one_cell(partial(_recording, asked), topics or Topics(), files, limits)
+    asked = _ReadRequest(path, files, source, configuration, progress, limits)
+    return read_single_cell(partial(_recording, asked), topics or Topics(), files, limits)
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _ReadRequest:
     """What is asked of the ``files`` of a bag; ``configuration`` None: the one in the bag."""
 
     path: Path
@@ -270,8 +270,10 @@ class _Asked:
     limits: ReadingLimits
 
 
-def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozenset()) -> Recording:
-    """Do as :func:`read_recording`; raise SeveralCells if it is not clear which one is meant.
+def _recording(
+    asked: _ReadRequest, topics: Topics, left_out: frozenset[str] = frozenset()
+) -> Recording:
+    """Do as :func:`read_recording`; raise AmbiguousCellError if it is not clear which cell.
 
     ``left_out`` are the runs of plans that are known to be a stranger's.
     """
@@ -302,11 +304,11 @@ def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozens
     attachments = {n: a.data for scan in contents.scans for n, a in scan.attachments.items()}
     texts = (attachments.get(names.CONFIGURATION, b"").decode(errors="replace"), *planned)
     set_ups = tuple(recorded_setup.recorded_configurations(texts))
-    recorded_setup.require_its_method(configuration, set_ups, path)
+    recorded_setup.require_same_method(configuration, set_ups, path)
     captured = _captured(feeder, contents, configuration, set_ups)
     broken = _unread(contents, topics)
     subjects = tuple(recorded_setup.recorded_subjects(texts, contents.scans))
-    as_recorded = recorded_setup.as_recorded(configuration, subjects)
+    as_recorded = recorded_setup.with_recorded_facts(configuration, subjects)
     clocks = filter(None, [feeder.offset or feeder.doubt])
     return Recording(
         calibration=replace(calibration, configuration=as_recorded),
@@ -323,9 +325,9 @@ def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozens
         other_axes=contents.other_axes(configuration.cell.axis),
         frames=tuple(contents.frames.values()),
         unreadable=dict(topics.unreadable),
-        clock=(*clock_in_words(contents.scans, order), *clocks),
+        clock=(*describe_clock(contents.scans, order), *clocks),
         session=judge_session(path, verdicts),
-        dropouts=placed_in(verdicts, limits),
+        dropouts=match_recorded_dropouts(verdicts, limits),
         foreign_plans=len(foreign),
         stream_faults=tuple(feeder.joints.faults()) if source == "streams" else (),
     )
@@ -338,9 +340,9 @@ def _captured(
     set_ups: Sequence[Configuration],
 ) -> tuple[Observation, ...]:
     """Return what was captured again, with what only the live capture knew of the clocks."""
-    judged_live = contents.recorded if same_limit(configuration, set_ups[:1]) else ()
-    captured = judged_as_live(feeder.observations, feeder.offsets, judged_live)
-    return known_to_later_runs(captured, contents.recorded, contents.scans)
+    judged_live = contents.recorded if has_same_clock_limit(configuration, set_ups[:1]) else ()
+    captured = apply_clock_limit(feeder.observations, feeder.offsets, judged_live)
+    return keep_known_to_later_runs(captured, contents.recorded, contents.scans)
 
 
 def _unread(contents: _BagContents, topics: Topics) -> dict[str, int]:
@@ -497,7 +499,7 @@ def _read(
     return contents
 
 
-def judged_as_live(
+def apply_clock_limit(
     observations: Iterable[Observation],
     estimates: Sequence[Phrase | None],
     recorded: Iterable[Observation],
@@ -514,7 +516,7 @@ def judged_as_live(
     )
 
 
-def same_limit(configuration: Configuration, recorded: Iterable[Configuration]) -> bool:
+def has_same_clock_limit(configuration: Configuration, recorded: Iterable[Configuration]) -> bool:
     """Return whether the clocks may differ as much as when it was ``recorded``."""
     allowed = OffsetLimits.of(configuration.capture)
     return all(OffsetLimits.of(before.capture) == allowed for before in recorded)
@@ -527,7 +529,7 @@ def _attempt(observation: Observation) -> tuple[int, int, int]:
 _SHOWN: Final = 5
 
 
-def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
+def describe_clock(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
     """Return how the recorder's clock jumped, a line for each, or that log times are unordered.
 
     If jumps were noted, they explain log times that go back.
@@ -544,7 +546,7 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def known_to_later_runs(
+def keep_known_to_later_runs(
     captured: Iterable[Observation], recorded: Iterable[Observation], scans: Iterable[Scan]
 ) -> tuple[Observation, ...]:
     """Return the observations without those of earlier runs that later runs did not know."""

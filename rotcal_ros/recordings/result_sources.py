@@ -43,7 +43,7 @@ from rotcal_ros.foundation.untrusted import cause_of, load_json, read_bytes
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 from rotcal_ros.recordings.replay import Recording
 
 
@@ -60,14 +60,14 @@ class ResultSource:
     axis: str | None = None
 
 
-def read_source(path: Path, given: Input | None = None) -> ResultSource:
+def read_source(path: Path, given: MeasurementInput | None = None) -> ResultSource:
     """Return the result in a JSON file, the solution of a bag or table, or a session's result.
 
     ``given`` is the path with the set-up, targets and changes for solving a bag or a table. The
     folder of an unfinished session has no result: its bag is solved. Raises BagError when it
     cannot be read, DataError when the file holds no result.
     """
-    given = given or Input(path)
+    given = given or MeasurementInput(path)
     session = SessionFolder(path)
     if session.result.is_file() and given.plain:
         # The result of a file does not know its axis, its session does.
@@ -77,7 +77,7 @@ def read_source(path: Path, given: Input | None = None) -> ResultSource:
     if session.bag.is_dir():
         return read_source(session.bag, replace(given, path=session.bag))
     if path.suffix != ".json":
-        return solved(given.read())
+        return solve_measurement(given.read())
     if not given.plain:
         raise ConfigurationError(
             f"{path} is already a result: set-up, targets and changes belong to a bag or a table"
@@ -124,13 +124,13 @@ def _results(path: Path) -> dict[str, ResultSource]:
         raise DataError(f"{path}: {error}") from error
 
 
-def solved(measured: Recording | Measurements) -> ResultSource:
+def solve_measurement(measured: Recording | Measurements) -> ResultSource:
     """Return the solution of a bag or a table."""
     axis = measured.configuration.cell.axis
     return ResultSource(measured.solve(), measured.sha256, axis)
 
 
-def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
+def joint_input(name: str, measured: Recording | Measurements) -> JointInput:
     """Return a bag or a table, ready to be solved together with others.
 
     Also one that cannot be solved alone: the others may determine what it lacks, or what happened
@@ -154,14 +154,14 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
         return JointInput(name, untold, model)
 
 
-def read_instrument(given: Input, progress: Progress | None = None) -> JointInput:
+def read_instrument(given: MeasurementInput, progress: Progress | None = None) -> JointInput:
     """Return a bag, a table, or a result in a JSON file, ready to be solved with others.
 
     A result stands for its observations, with all their covariance. Raises as :func:`read_source`.
     """
     if given.path.suffix == ".json":
         return JointInput(str(given.path), read_source(given.path, given).result)
-    return instrument_of(str(given.path), given.read(progress))
+    return joint_input(str(given.path), given.read(progress))
 
 
 def read_repeated_runs(

@@ -30,7 +30,7 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.planning.table_feedback import without_joint
+from rotcal_ros.planning.table_feedback import missing_joint_message
 from rotcal_ros.recordings.topics import RoleMessages
 
 _TRACER: Final = (*STAMP, "sequence", "length", "status")
@@ -71,7 +71,7 @@ class RecordConsumer(Protocol):
         """Take many feedbacks of the table."""
 
 
-class HeardJoints:
+class TopicJoints:
     """Which joints a topic has, and what of the table's is missing, for words about it.
 
     ``joint`` is the table's; empty: the first one. Raises nothing: it only counts.
@@ -106,7 +106,7 @@ class HeardJoints:
         names_heard = [*dict.fromkeys(name for order in self._orders for name in order)]
         chosen = self._joint or next(iter(names_heard), "")
         if names_heard and chosen not in names_heard:
-            yield without_joint(self.topic, self._joint, names_heard)
+            yield missing_joint_message(self.topic, self._joint, names_heard)
         elif names_heard and not self._placed:
             yield phrase(
                 "{0}: joint {1} has no position: publish it, in rad", self.topic, printable(chosen)
@@ -151,7 +151,7 @@ class StreamFeeder:
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
-        self.joints = HeardJoints(joint)
+        self.joints = TopicJoints(joint)
         self._make_finder = make_finder
         self._finder = make_finder() if make_finder is not None else None
         self._finding = False

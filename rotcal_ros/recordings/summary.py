@@ -13,12 +13,12 @@ from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import FileVerdict, Scan, session_losses, unread_losses
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.methods.configuration import Configuration, parse_configuration
-from rotcal_ros.recordings.missing_data import PlacedDropout, placed_in
+from rotcal_ros.recordings.missing_data import DropoutWithSteps, match_recorded_dropouts
 from rotcal_ros.recordings.recorded_setup import require_one_configuration
 
 
 @dataclass(frozen=True)
-class Summary:
+class BagSummary:
     """The files of a bag, the names of what is attached, its configuration if there is one.
 
     ``session`` is the verdict on all files together, ``dropouts`` say what is missing, and from
@@ -30,7 +30,7 @@ class Summary:
     attachments: tuple[str, ...]
     configuration: Configuration | None
     session: SessionVerdict
-    dropouts: tuple[PlacedDropout, ...] = ()
+    dropouts: tuple[DropoutWithSteps, ...] = ()
     contradiction: str = ""
 
     @property
@@ -73,9 +73,9 @@ class Summary:
         }
 
 
-def describe(
+def summarise_bag(
     path: Path, progress: Progress | None = None, limits: ReadingLimits = DEFAULT_LIMITS
-) -> Summary:
+) -> BagSummary:
     """Read a bag to its end and return its summary; raises BagError when it cannot be read."""
     verdicts: list[FileVerdict] = []
     attachments: dict[str, bytes] = {}
@@ -90,13 +90,13 @@ def describe(
         require_one_configuration(scans, (), path)
     except BagError as error:
         contradiction = str(error)
-    return Summary(
+    return BagSummary(
         files=tuple(verdicts),
         attachments=tuple(attachments),
         configuration=None if contradiction else _configuration(attachments),
         contradiction=contradiction,
         session=judge_session(path, verdicts),
-        dropouts=placed_in(verdicts, limits),
+        dropouts=match_recorded_dropouts(verdicts, limits),
     )
 
 

@@ -59,7 +59,7 @@ class RoleMessages:
             ) from error
 
 
-class SeveralCells(BagError):  # noqa: N818 - says what was found
+class AmbiguousCellError(BagError):
     """Two topics have the same role, and it is unknown which cell is meant."""
 
 
@@ -94,7 +94,7 @@ class Topics:
         self._topic_of_role.clear()
 
     def role(self, topic: str, type_name: str = "") -> str | None:
-        """Return the role of ``topic``; raises SeveralCells when two topics have the same one."""
+        """Return the role of ``topic``; AmbiguousCellError when two topics have the same one."""
         if topic == names.TF_STATIC:
             return names.TF_STATIC
         others = {**self.planned, **self._recorded, **self.renamed}
@@ -136,7 +136,7 @@ class Topics:
 
     def _unique(self, role: str, topic: str) -> str:
         if self._topic_of_role.setdefault(role, topic) != topic:
-            raise SeveralCells(
+            raise AmbiguousCellError(
                 f"two topics of the bag are called {role}: {self._topic_of_role[role]} and "
                 f"{topic}; say which cell is meant (--namespace)"
             )
@@ -171,13 +171,13 @@ class Topics:
             return None
 
 
-def of_one_cell(
+def read_single_cell(
     read: Callable[[Topics], T], topics: Topics, files: tuple[Path, ...], limits: ReadingLimits
 ) -> T:
-    """Return what ``read`` returns; after SeveralCells, for the only cell with a plan."""
+    """Return what ``read`` returns; after AmbiguousCellError, for the only cell with a plan."""
     try:
         return read(topics)
-    except SeveralCells:
+    except AmbiguousCellError:
         only = topics.of_the_only_plan(files, limits)
         if only is None:
             raise

@@ -60,7 +60,7 @@ class Fact:
         return self.text or NOT_STATED
 
 
-def about_the_item(result: Result, identity: Identity) -> list[Fact]:
+def item_facts(result: Result, identity: Identity) -> list[Fact]:
     """Return what was calibrated, and for whom."""
     customer = [identity.customer, identity.customer_address]
     return [
@@ -74,7 +74,7 @@ def about_the_item(result: Result, identity: Identity) -> list[Fact]:
     ]
 
 
-def about_the_work(result: Result, identity: Identity, method: str, issued: str) -> list[Fact]:
+def calibration_facts(result: Result, identity: Identity, method: str, issued: str) -> list[Fact]:
     """Return who calibrated it, where, when and how."""
     how = phrase("{0}; rotcal_ros {1}", phrase(method), __version__)
     laboratory = [identity.laboratory, identity.laboratory_address, identity.laboratory_country]
@@ -86,11 +86,11 @@ def about_the_work(result: Result, identity: Identity, method: str, issued: str)
         Fact(phrase("Operator"), identity.operator),
         Fact(phrase("Authorised by"), "", "7.8.2.1 o"),
         Fact(phrase("Method"), how, "7.8.2.1 f"),
-        Fact(phrase("Conditions"), conditions(result.circumstances), "7.8.4.1 b"),
+        Fact(phrase("Conditions"), ambient_conditions(result.circumstances), "7.8.4.1 b"),
     ]
 
 
-def about_the_plan(result: Result, rejected_attempts: int) -> list[Fact]:
+def plan_facts(result: Result, rejected_attempts: int) -> list[Fact]:
     """Return what was sampled, what was left out, and who else had a part in it."""
     counts = result.circumstances.counts
     skipped = (
@@ -99,13 +99,13 @@ def about_the_plan(result: Result, rejected_attempts: int) -> list[Fact]:
         else phrase("{0} of {1} steps were skipped", counts.skipped, counts.planned)
     )
     return [
-        Fact(phrase("Sampling"), in_numbers(result, counts, rejected_attempts), "7.8.2.1 k"),
+        Fact(phrase("Sampling"), count_summary(result, counts, rejected_attempts), "7.8.2.1 k"),
         Fact(phrase("Deviations from the method"), skipped, "7.8.2.1 n"),
         Fact(phrase("External providers"), "", "7.8.2.1 p"),
     ]
 
 
-def in_numbers(result: Result, counts: StepCounts | None, rejected_attempts: int) -> str:
+def count_summary(result: Result, counts: StepCounts | None, rejected_attempts: int) -> str:
     """Return the true counts in one line."""
     rejected = phrase("{0} rejected by the solver", len(result.rejected))
     if counts is None:
@@ -117,7 +117,7 @@ def in_numbers(result: Result, counts: StepCounts | None, rejected_attempts: int
     )  # fmt: skip
 
 
-def conditions(circumstances: Circumstances) -> str:
+def ambient_conditions(circumstances: Circumstances) -> str:
     """Return temperature, pressure and humidity with their ranges."""
     ranges = [
         _ranged(phrase("temperature"), circumstances.temperature_c, "°C", 2),
@@ -187,7 +187,7 @@ class ValueBlock:
     rows: Sequence[Sequence[str]]
 
 
-def sentences(result: Result, withheld: str | None) -> list[str]:
+def result_sentences(result: Result, withheld: str | None) -> list[str]:
     """Return the result in words: ranges with U, axis, reversals, figures of ISO 230-2 of runs."""
     few = len(result.components) <= FEW_SENTENCES
     texts = [_range(result, name, withheld) for name in result.components if few]
@@ -197,7 +197,7 @@ def sentences(result: Result, withheld: str | None) -> list[str]:
     return texts
 
 
-def ranges(result: Result, withheld: str | None) -> ValueBlock | None:
+def component_ranges(result: Result, withheld: str | None) -> ValueBlock | None:
     """Return lowest, highest, range and largest U of many components; None for few."""
     if len(result.components) <= FEW_SENTENCES:
         return None
@@ -210,7 +210,7 @@ def ranges(result: Result, withheld: str | None) -> ValueBlock | None:
     return ValueBlock([*map(phrase, _RANGES), phrase("U {0}, at most", K)], rows)
 
 
-def statement_of_u(result: Result, withheld: str | None) -> str:
+def uncertainty_statement(result: Result, withheld: str | None) -> str:
     """Return the definition of U, or the reason for which it is not stated."""
     if withheld:
         return phrase("U: not stated, because {0}.", withheld)
@@ -223,7 +223,7 @@ def statement_of_u(result: Result, withheld: str | None) -> str:
     return phrase("{0} It does not cover: {1}.", text, missing) if missing else text
 
 
-def statements_of_conformity(result: Result, withheld: str | None) -> list[str]:
+def conformity_statements(result: Result, withheld: str | None) -> list[str]:
     """Return within, beyond or undecided for every component that has a tolerance."""
     every = conformities(result, result.circumstances.identity)
     if not every:

@@ -19,7 +19,7 @@ UP, DOWN = style.BLUE, style.ORANGE
 
 
 @style.house_style
-def diagrams(runs: BidirectionalRuns, figures: Iso230) -> str:
+def draw_runs(runs: BidirectionalRuns, figures: Iso230) -> str:
     """Draw every run, the means with +- 2 s of both directions with A, and B_i and R_i."""
     every, accuracy, spread = style.grid(3, 1, height=2.9, sharex=True)
     angles = figures.targets / DEGREE
@@ -65,7 +65,7 @@ def _spread(ax: Axes, angles: Floats, figures: Iso230) -> None:
     ax.set_ylabel("Bᵢ, Rᵢ / arcsec")
 
 
-def section(result: Result) -> str | None:
+def iso230_section(result: Result) -> str | None:
     """Return the HTML of the report's section; None for a result without repeated runs."""
     try:
         runs = runs_of(result)
@@ -78,7 +78,7 @@ def section(result: Result) -> str | None:
         [phrase(name), *("–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded))]
         for name, values, expanded in figures.summary()
     ]
-    drawn = diagrams(runs, figures)
+    drawn = draw_runs(runs, figures)
     notes = () if figures.measurement_stated else (phrase(ONLY_SCATTER),)
     return render(
         "iso230",

@@ -58,7 +58,7 @@ from rotcal_ros.report import first_page, iso230, verification
 from rotcal_ros.report.first_page import NOT_STATED, degrees
 from rotcal_ros.report.printing import write_page
 from rotcal_ros.report.template import render
-from rotcal_ros.report.verification import acting_section
+from rotcal_ros.report.verification import table_in_force_section
 
 TITLE: Final = phrase("Calibration report of a rotary table")
 PLAN_ID: Final = phrase("plan and configuration")
@@ -104,17 +104,17 @@ def render_report(report: ReportInput) -> str:
         "report",
         report=report,
         result=result,
-        number=number(result),
+        number=certificate_number(result),
         fingerprint=fingerprint(result),
         marks=marks(result, report.truth),
         withheld=doubt,
-        item=first_page.about_the_item(result, identity),
-        work=first_page.about_the_work(result, identity, report.method_title, report.issued),
-        plan=first_page.about_the_plan(result, len(attempts)),
-        ranges=first_page.ranges(result, doubt),
-        sentences=first_page.sentences(result, doubt),
-        statement_of_u=first_page.statement_of_u(result, doubt),
-        conformity=first_page.statements_of_conformity(result, doubt),
+        item=first_page.item_facts(result, identity),
+        work=first_page.calibration_facts(result, identity, report.method_title, report.issued),
+        plan=first_page.plan_facts(result, len(attempts)),
+        ranges=first_page.component_ranges(result, doubt),
+        sentences=first_page.result_sentences(result, doubt),
+        statement_of_u=first_page.uncertainty_statement(result, doubt),
+        conformity=first_page.conformity_statements(result, doubt),
         warnings=list(map(phrase, result.warnings)),
         curve=curves.deviations(result, report.truth, valid=not doubt),
         zero=join_texts(_zero(result), " "),
@@ -122,7 +122,7 @@ def render_report(report: ReportInput) -> str:
         traceability=traceability_statement(result),
         only_this_item=first_page.ONLY_THIS_ITEM,
         adjustment=phrase("See “{0}”.", verification.TITLE) if adjusted else NO_ADJUSTMENT,
-        goal=goal_standing(report.goal),
+        goal=goal_section(report.goal),
         sections=_sections(report, doubt),
         rejected=[[r.index, phrase(r.why)] for r in result.rejected],
         attempts=attempts,
@@ -140,22 +140,22 @@ def _sections(report: ReportInput, doubt: str | None) -> list[tuple[str, str]]:
     ]
     drawn = {place: _drawings(figures, place) for place in ("set-up", "residuals", "results")}
     found = [
-        (BUDGET, budget(result, doubt)),
-        (TRUST, protections(result)),
-        (TRACEABILITY, traceability(result)),
+        (BUDGET, budget_section(result, doubt)),
+        (TRUST, protections_section(result)),
+        (TRACEABILITY, traceability_section(result)),
         (phrase("Set-up"), drawn["set-up"]),
         *report.extra,
-        (phrase("ISO 230-2: positioning of the axis"), iso230.section(result)),
-        (phrase("Harmonic content"), harmonics(result)),
+        (phrase("ISO 230-2: positioning of the axis"), iso230.iso230_section(result)),
+        (phrase("Harmonic content"), harmonics_section(result)),
         (phrase("Further figures"), drawn["results"]),
         (phrase("Residuals"), drawn["residuals"]),
-        (RELIABILITY, reliability_of_observations(result)),
-        (TABLES, tables_of(result, stated=not doubt)),
+        (RELIABILITY, reliability_section(result)),
+        (TABLES, method_tables(result, stated=not doubt)),
     ]
     return [(title, html) for title, html in found if html]
 
 
-def tables_of(result: Result, *, stated: bool) -> str | None:
+def method_tables(result: Result, *, stated: bool) -> str | None:
     """Return the method's tables as HTML, folded, if there are any."""
     found = [*steps_table(result, stated=stated), *_tables_of_the_method(result)]
     if not found:
@@ -251,13 +251,13 @@ def fingerprint(result: Result) -> str:
     return hashlib.sha256(result.to_json().encode()).hexdigest()
 
 
-def number(result: Result) -> str:
+def certificate_number(result: Result) -> str:
     """Return the number of the certificate, or one that follows from the fingerprint."""
     stated = result.circumstances.identity.certificate_number
     return stated or f"RC-{fingerprint(result)[:DIGITS].upper()}"
 
 
-def write_recorded(
+def report_recording(
     recording: Recording,
     page: Path,
     truth: Mapping[str, Any] | None = None,
@@ -281,7 +281,7 @@ def write_recorded(
         inputs=[*recording.sha256.items(), (PLAN_ID, configuration.plan_id)],
         versions=_versions(recording.attachments),
         truth=truth,
-        extra=extra or acting_section(result, in_force),  # that of verify says it itself
+        extra=extra or table_in_force_section(result, in_force),  # that of verify says it itself
         goal=recording.goal_standing(result),
         issued=_today(),
         go_on=go_on,
@@ -290,7 +290,7 @@ def write_recorded(
     return result
 
 
-def write_measured(
+def report_measurement(
     measured: Recording | Measurements,
     page: Path,
     truth: Mapping[str, Any] | None = None,
@@ -299,7 +299,7 @@ def write_measured(
 ) -> Result:
     """Solve a bag or a plain table, write the page about it, and return the result."""
     if isinstance(measured, Recording):
-        return write_recorded(measured, page, truth, in_force=in_force, go_on=go_on)
+        return report_recording(measured, page, truth, in_force=in_force, go_on=go_on)
     configuration, result = measured.configuration, measured.solve()
     report = ReportInput(
         result,
@@ -309,14 +309,14 @@ def write_measured(
         inputs=[*measured.sha256.items(), (PLAN_ID, configuration.plan_id)],
         versions=_versions({}),
         truth=truth,
-        extra=acting_section(result, in_force),
+        extra=table_in_force_section(result, in_force),
         issued=_today(),
     )
     write_page(page, render_report(report))
     return result
 
 
-def write_result(
+def report_result(
     source: ResultSource,
     page: Path,
     truth: Mapping[str, Any] | None = None,
@@ -331,7 +331,7 @@ def write_result(
         inputs=list(source.sha256.items()),
         versions=_versions({}),
         truth=truth,
-        extra=acting_section(result, in_force),
+        extra=table_in_force_section(result, in_force),
         issued=_today(),
     )
     try:
@@ -366,11 +366,11 @@ def _versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
 BUDGET = phrase("Uncertainty budget")
 
 
-def budget(result: Result, withheld: str | None) -> str:
+def budget_section(result: Result, withheld: str | None) -> str:
     """Return the budget as HTML, below the reason for which no U is stated, if there is one."""
     return render(
         "budget",
-        figure=sources(result),
+        figure=draw_budget(result),
         tables=_tables(result),
         withheld=withheld,
         refraction=phrase(result.circumstances.refraction or NOT_STATED),
@@ -380,7 +380,7 @@ def budget(result: Result, withheld: str | None) -> str:
 
 
 @style.house_style
-def sources(result: Result) -> str:
+def draw_budget(result: Result) -> str:
     """Draw the standard uncertainty of every source, and their sum, over the table angle."""
     names = result.components
     panels = style.grid(-(-len(names) // 2), min(2, len(names)), height=2.3)
@@ -443,7 +443,7 @@ def _table(result: Result, name: str) -> dict[str, Any]:
     }
 
 
-def goal_standing(standing: GoalStanding | None) -> str | None:
+def goal_section(standing: GoalStanding | None) -> str | None:
     """Return how the goal was reached as HTML, if there was one."""
     if standing is None:
         return None
@@ -482,7 +482,7 @@ def _plan_rows(own: PlanFigures, papers: PlanFigures) -> list[list[str]]:
 
 
 @style.house_style
-def bars(found: Mapping[str, HarmonicContent]) -> str:
+def draw_amplitudes(found: Mapping[str, HarmonicContent]) -> str:
     """Draw the amplitudes over the order; pale where the order does not differ from zero."""
     panels = style.grid(-(-len(found) // 2), min(2, len(found)), height=2.5)
     for ax, (name, content) in zip(panels, found.items(), strict=False):
@@ -503,7 +503,7 @@ def bars(found: Mapping[str, HarmonicContent]) -> str:
     return style.svg(panels[0])
 
 
-def harmonics(result: Result) -> str | None:
+def harmonics_section(result: Result) -> str | None:
     """Return the harmonic content as HTML; None when no curve covers a full turn."""
     found = {}
     for name in result.components:
@@ -513,7 +513,7 @@ def harmonics(result: Result) -> str | None:
     if not found:
         return None
     tables = [_harmonics_table(name, content) for name, content in found.items()]
-    return render("harmonics", figure=bars(found), tables=tables)
+    return render("harmonics", figure=draw_amplitudes(found), tables=tables)
 
 
 def _harmonics_table(name: str, content: HarmonicContent) -> dict[str, Any]:
@@ -543,7 +543,7 @@ MOST_ROWS: Final = 200
 _WORST: Final = 8
 
 
-def reliability_of_observations(result: Result) -> str | None:
+def reliability_section(result: Result) -> str | None:
     """Return the worst observations by their reliability as HTML; None without residuals."""
     if result.residuals is None or not np.any(result.residuals.used):
         return None
@@ -600,7 +600,7 @@ def traceability_statement(result: Result) -> str:
     return phrase("Through the calibration certificates of: {0}.", names)
 
 
-def traceability(result: Result) -> str:
+def traceability_section(result: Result) -> str:
     """Return instruments and statement as HTML."""
     return render(
         "traceability",
@@ -626,7 +626,7 @@ def _spoken(name: str) -> str:
 TRUST = phrase("What could be wrong, and would it show?")
 
 
-def protections(result: Result) -> str:
+def protections_section(result: Result) -> str:
     """Return the table of protections as HTML, one row per effect."""
     return render(
         "trust",

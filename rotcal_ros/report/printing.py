@@ -40,10 +40,10 @@ def require_writable(page: Path) -> None:
             f"found {page.suffix}"
         )
     if page.suffix.lower() == PDF:
-        browser()
+        find_browser()
 
 
-def browser() -> str:
+def find_browser() -> str:
     """Return the path of the browser that prints; ConfigurationError where there is none."""
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
@@ -61,13 +61,13 @@ def write_page(page: Path, text: str) -> None:
     """
     require_writable(page)
     if page.suffix.lower() == PDF:
-        data = printed(text)
+        data = html_to_pdf(text)
         replace_atomically(page, lambda temporary: write_durably(temporary, data))
     else:
         write_atomically(page, text)
 
 
-def printed(text: str) -> bytes:
+def html_to_pdf(text: str) -> bytes:
     """Return HTML as PDF; the browser has no network and leaves no files."""
     with TemporaryDirectory(prefix="rotcal-print-") as name:
         folder = Path(name)
@@ -76,14 +76,14 @@ def printed(text: str) -> bytes:
         # The sandbox needs rights that root gives up for it, which in a container it cannot.
         root = ["--no-sandbox"] if os.geteuid() == 0 else []
         words = _run([
-            browser(), *_OPTIONS, *root, f"--user-data-dir={folder / 'profile'}",
+            find_browser(), *_OPTIONS, *root, f"--user-data-dir={folder / 'profile'}",
             f"--print-to-pdf={target}", source.as_uri(),
         ])  # fmt: skip
         data = target.read_bytes() if target.is_file() else b""
     if not data.startswith(b"%PDF-"):
         raise ConfigurationError(
-            f"{browser()} made no PDF ({words or 'it does not say why'}): name a {HTML} file and "
-            "print it from a browser"
+            f"{find_browser()} made no PDF ({words or 'it does not say why'}): name a {HTML} file "
+            "and print it from a browser"
         )
     return data
 

@@ -74,7 +74,7 @@ def _foreign(spoken: Language, text: Any) -> Markup:
 
 def _drawn(spoken: Language, svg: str, name: str) -> Markup:
     """Return a figure of ours as it stands in a page."""
-    return Markup(inline(svg, spoken.say(name)))
+    return Markup(inline_svg(svg, spoken.say(name)))
 
 
 def _quoted(spoken: Language, text: str) -> Markup:
@@ -99,12 +99,8 @@ PROPERTIES: Final = {
 _COLOUR: Final = re.compile("|".join(PROPERTIES))
 
 
-def inline(svg: str, name: str) -> str:
+def inline_svg(svg: str, name: str) -> str:
     """Return ``svg`` with a name for screen readers and the colours of its page."""
     attributes = f'<svg role="img" aria-label="{escape(printable(name))}" '
-    coloured = _COLOUR.sub(lambda found: _property(found[0]), svg)
+    coloured = _COLOUR.sub(lambda found: f"var(--figure-{PROPERTIES[found[0]]}, {found[0]})", svg)
     return coloured.replace("<svg ", attributes, 1)
-
-
-def _property(colour: str) -> str:
-    return f"var(--figure-{PROPERTIES[colour]}, {colour})"

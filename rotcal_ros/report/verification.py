@@ -50,13 +50,13 @@ def verification_section(verification: Verification) -> tuple[str, str]:
         text=_in_words(verification),
         verdict=phrase(verification.verdict),
         reserves=list(map(phrase, verification.reserves)),
-        figure=before_and_after(before, after),
+        figure=draw_before_and_after(before, after),
         rows=[(name, f"{a / ARCSEC:.3f}", f"{b / ARCSEC:.3f}") for name, a, b in rows],
     )
     return TITLE, section
 
 
-def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str]]:
+def table_in_force_section(result: Result, in_force: Path | None) -> list[tuple[str, str]]:
     """Return title and HTML that say whether the table in force acted on ``result``.
 
     Empty if there was no table, or it is unknown; ``in_force`` holds the table's files.
@@ -99,7 +99,7 @@ def _in_words(verification: Verification) -> str:
 
 
 @style.house_style
-def before_and_after(before: Positioning, after: Positioning) -> str:
+def draw_before_and_after(before: Positioning, after: Positioning) -> str:
     """Draw both measured curves, and the second one again on its own scale."""
     whole, left = style.grid(2, height=2.4)
     _draw(whole, before, style.ORANGE, "before")

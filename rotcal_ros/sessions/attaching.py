@@ -31,7 +31,7 @@ from rotcal_ros.foundation.session_folder import MEETING_POINT, SessionFolder, r
 from rotcal_ros.foundation.untrusted import NotAFileError, load_json, read_text
 from rotcal_ros.methods import read_configuration
 from rotcal_ros.report.terminal.console import progress_bar, say
-from rotcal_ros.sessions.person import NO_MACHINE, Display, Person
+from rotcal_ros.sessions.person import NO_MACHINE, ProgressDisplay, SessionOperator
 from rotcal_ros.sessions.session import Session
 
 GREETING_TIMEOUT_S: Final = 10.0
@@ -47,7 +47,7 @@ MAX_ADDRESS: Final = 107
 Event = Mapping[str, Any]
 
 
-class History:
+class EventHistory:
     """What a late viewer has to know: the present state, not how it was reached."""
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class Viewers:
     """
 
     def __init__(self, session: Session, *, at_once: bool = False) -> None:
-        self._history = History()
+        self._history = EventHistory()
         self._history.remember({"event": "session", "at_once": at_once})
         self._writers: set[asyncio.StreamWriter] = set()
         self._orders: SimpleQueue[Event] = SimpleQueue()
@@ -230,14 +230,14 @@ class Attachment:
         self.events.put({"event": "gone"})
 
 
-def watch(folder: SessionFolder, *, stop: bool = False) -> Event:
+def watch_session(folder: SessionFolder, *, stop: bool = False) -> Event:
     """Show a running session to its end, and return its event ``ended``.
 
     Enter confirms what a person was asked to do. Raises ConfigurationError when nothing runs
     there, DataError when the session dies meanwhile.
     """
     with _attached(folder) as session, progress_bar() as bar:
-        display = Display(bar, deciles=-1)
+        display = ProgressDisplay(bar, deciles=-1)
         person = _person(folder, session)
         if stop:
             session.stop()
@@ -257,7 +257,9 @@ def running_sessions(place: Path) -> list[SessionFolder]:
     return [folder for folder in map(SessionFolder, found) if _runs(folder)]
 
 
-def _show(event: Event, display: Display, person: Person, folder: SessionFolder) -> None:
+def _show(
+    event: Event, display: ProgressDisplay, person: SessionOperator, folder: SessionFolder
+) -> None:
     if event["event"] == "gone":
         _raise_gone(folder)
     if event["event"] in ("line", "page"):
@@ -273,7 +275,7 @@ def _raise_gone(folder: SessionFolder) -> NoReturn:
     raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
 
 
-def _person(folder: SessionFolder, session: Attachment) -> Person:
+def _person(folder: SessionFolder, session: Attachment) -> SessionOperator:
     """Return the person who watches; the first event says how their work counts as done."""
     try:
         greeting = session.events.get(timeout=load_scaled_timeout(GREETING_TIMEOUT_S))
@@ -287,7 +289,7 @@ def _person(folder: SessionFolder, session: Attachment) -> Person:
     configuration = read_configuration(folder.configuration)
     if configuration.simulated:
         say(NO_MACHINE)
-    return Person(configuration, bool(greeting.get("at_once")), watching=True)
+    return SessionOperator(configuration, bool(greeting.get("at_once")), watching=True)
 
 
 @contextmanager

@@ -23,7 +23,7 @@ Event = Mapping[str, Any]
 NO_MACHINE: Final = f"{SIMULATED}: no machine is measured, the cell is a simulation"
 
 
-class Display:
+class ProgressDisplay:
     """A progress bar; without a terminal, a line for every tenth of the steps.
 
     ``deciles`` is the number of tenths that need no further line; -1 asks for one at once.
@@ -41,7 +41,7 @@ class Display:
 
     def feedback(self, event: Event) -> None:
         """Move the bar."""
-        step, total, text = event["step"], event["total"], describe(event)
+        step, total, text = event["step"], event["total"], describe_feedback(event)
         self._bar.update(self._task, completed=step, total=total, description=text)
         without_terminal = self._bar.disable or not self._bar.console.is_terminal
         if without_terminal and step * 10 // total > self._decile:
@@ -49,7 +49,7 @@ class Display:
         self._decile = max(self._decile, step * 10 // total)
 
 
-def describe(feedback: Event) -> str:
+def describe_feedback(feedback: Event) -> str:
     """Return a feedback in words: activity, goal or else the largest U so far, time left."""
     doing = feedback["doing"]
     waiting = "stopped by an emergency stop" if doing in STOPS else "waiting for a person"
@@ -72,7 +72,7 @@ def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
     return f"goal: rms of U {goal}, now {uncertainty_rad / ARCSEC:.2f}"
 
 
-class Person:
+class SessionOperator:
     """Does a person's work of a plan, or says when it is done.
 
     With a simulated person, or ``at_once``, the work counts as done as soon as it is asked for,

@@ -92,7 +92,7 @@ def _since_last_time(session: Session) -> Sequence[tuple[str, str]]:
     return sections
 
 
-def goal_standing(folder: SessionFolder) -> GoalStanding | None:
+def session_goal_standing(folder: SessionFolder) -> GoalStanding | None:
     """Return whether a session met its goal; None if it had none."""
     if read_policy(read_text(folder.configuration)) != UNTIL_GOAL:
         return None
@@ -124,13 +124,13 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     ``extra`` holds further sections as (title, HTML). Raises BagError when there is a page.
     """
     # Figures take a second to load, which a run without report should not wait for.
-    from rotcal_ros.report.page import write_recorded
+    from rotcal_ros.report.page import report_recording
 
     if folder.report.exists():
         raise BagError(f"{folder.report} exists already and nothing is overwritten")
     recording = read_recording(folder.bag)
     truth = load_json(read_text(folder.truth)) if folder.truth.exists() else None
-    result = write_recorded(recording, folder.report, truth, extra)
+    result = report_recording(recording, folder.report, truth, extra)
     live = recording.with_warnings(read_source(folder.result).result)
     if result.to_json() != live.to_json():
         say(f"warning: solving {folder.bag} again gives another result than the live run")

@@ -26,9 +26,9 @@ from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.sessions.attaching import Viewers
-from rotcal_ros.sessions.person import NO_MACHINE, Display, Event, Person
+from rotcal_ros.sessions.person import NO_MACHINE, Event, ProgressDisplay, SessionOperator
 from rotcal_ros.sessions.processes import Processes, node_environment
-from rotcal_ros.sessions.session import Session, require_as_found
+from rotcal_ros.sessions.session import Session, require_unchanged
 
 SILENCE_TIMEOUT_S: Final = 60.0
 """The client prints a line every second; after this silence it counts as hung."""
@@ -85,9 +85,9 @@ def _how_to_go_on(session: Session) -> str:
 
 def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
     """Run the nodes until the client reports the result."""
-    with running(session) as nodes:
+    with run_processes(session) as nodes:
         try:
-            outcome = _follow(nodes, Person(session.configuration, at_once), viewers)
+            outcome = _follow(nodes, SessionOperator(session.configuration, at_once), viewers)
             if outcome["error_code"]:
                 outcome["error_msg"] += "".join(f"; {death}" for death in nodes.deaths())
             return outcome
@@ -103,7 +103,7 @@ def _solve_bag(session: Session) -> dict[str, Any]:
     """Solve the bag of a session that was interrupted after its last step."""
     lock = FolderLock(session.folder.path)
     try:
-        require_as_found(session)
+        require_unchanged(session)
         finish_interrupted(session.folder.bag)
         recording = read_recording(session.folder.bag)
         result = recording.solve()
@@ -133,13 +133,13 @@ def _result_of_cancelling(nodes: RunningSession) -> Event:
     return {}
 
 
-def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str, Any]:
+def _follow(nodes: RunningSession, person: SessionOperator, viewers: Viewers) -> dict[str, Any]:
     """Show the progress and ask the person; return the result event.
 
     Raises KeyboardInterrupt when a viewer stops it, as Ctrl-C would.
     """
     with progress_bar(time_left=False) as bar:  # the planner knows better
-        display = Display(bar)
+        display = ProgressDisplay(bar)
         heard, begun, page_told = time.monotonic(), False, False
         while True:
             _obey(viewers, person)
@@ -170,19 +170,19 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
                 display.feedback(event)
 
 
-def _warn(text: str, display: Display, viewers: Viewers) -> None:
+def _warn(text: str, display: ProgressDisplay, viewers: Viewers) -> None:
     """Show warnings, here and to viewers."""
     display.line(f"warning: {text}")
     viewers.publish({"event": "line", "text": f"warning: {text}"})
 
 
-def _tell_page(text: str, display: Display, viewers: Viewers) -> None:
+def _tell_page(text: str, display: ProgressDisplay, viewers: Viewers) -> None:
     """Say where the page is, or why there is none, here and to viewers."""
     display.line(text)
     viewers.publish({"event": "page", "text": text})
 
 
-def _obey(viewers: Viewers, person: Person) -> None:
+def _obey(viewers: Viewers, person: SessionOperator) -> None:
     """Carry out the requests of viewers."""
     for order in viewers.orders():
         if order.get("event") == "stop":
@@ -288,14 +288,14 @@ def _death(name: str, code: int, log: str) -> str:
 
 
 @contextmanager
-def running(session: Session) -> Iterator[RunningSession]:
+def run_processes(session: Session) -> Iterator[RunningSession]:
     """Start the nodes and the client of a session, and end them.
 
     The folder stays locked until the last of them is dead.
     """
     lock = FolderLock(session.folder.path)
     try:
-        require_as_found(session)
+        require_unchanged(session)
         write_atomically(session.folder.parameters, node_parameters(session.configuration))
         environment = node_environment(alone=session.configuration.simulated)
         with Processes(session.log_folder, environment, (lock.descriptor,)) as processes:

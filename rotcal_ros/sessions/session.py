@@ -99,21 +99,21 @@ def prepare_session(
     """
     calibration = checked_calibration(source, changes)
     folder = folder.absolute()
-    require_space(calibration, folder)
+    require_disk_space(calibration, folder)
     if folder.exists() and not _taken_again(SessionFolder(folder)):
         if not keep_previous:
             raise ConfigurationError(
                 f"{folder} exists already and nothing is overwritten; choose another --output, "
                 "--keep-previous to move it aside, or --resume to continue what is in it"
             )
-        folder.rename(free_name(folder))
+        folder.rename(free_folder_name(folder))
     session = Session(calibration, SessionFolder(folder))
     make_folder(session.log_folder)
     write_atomically(session.folder.configuration, calibration.configuration.text)
     return session
 
 
-def require_as_found(session: Session) -> None:
+def require_unchanged(session: Session) -> None:
     """Raise ConfigurationError if another run went on in the folder since it was read.
 
     The caller holds the lock of the folder.
@@ -155,7 +155,7 @@ def checked_calibration(source: Path, changes: Sequence[str]) -> Calibration:
     return prepare_to_measure(changed(read_configuration(source), changes))
 
 
-def free_name(folder: Path) -> Path:
+def free_folder_name(folder: Path) -> Path:
     """Return ``<folder>-<number>`` with the first number that is not taken."""
     number = 1
     while (candidate := folder.with_name(f"{folder.name}-{number}")).exists():
@@ -170,7 +170,7 @@ TRACER_HZ: Final = 1000.0
 """Messages per second of real instruments, which no setting states."""
 
 
-def require_space(calibration: Calibration, folder: Path, steps: int | None = None) -> None:
+def require_disk_space(calibration: Calibration, folder: Path, steps: int | None = None) -> None:
     """Raise ConfigurationError if the disk of ``folder`` has no room for the bag.
 
     ``steps`` are left to measure, default: the whole plan. The recorder's settings say how much of
@@ -249,7 +249,7 @@ def resume_session(source: Path | None, path: Path, changes: Sequence[str]) -> S
     run = max(1, len(files))  # no earlier run can have this number: each wrote a file at least
     observed = _observed(folder.bag, calibration) if files else ()
     continuation = calibration.continued(run, observed)
-    require_space(calibration, folder.path, len(continuation.steps))
+    require_disk_space(calibration, folder.path, len(continuation.steps))
     session = Session(calibration, folder, continuation)
     session.log_folder.mkdir(exist_ok=True)
     write_atomically(folder.continuation(continuation.run), continuation.to_json())

@@ -70,7 +70,7 @@ ISO_TARGETS: Final = 47
 
 
 @dataclass(frozen=True)
-class Request:
+class VerificationRequest:
     """The options of a verification, besides the configuration of the first measurement.
 
     ``check`` are changes of the second measurement, ``spacing_deg`` is that of the rows of the
@@ -138,11 +138,11 @@ class FinishedSession:
         return self.session.configuration
 
 
-def begin(
+def begin_verification(
     configuration: Path,
     folder: Path,
     changes: Sequence[str],
-    request: Request,
+    request: VerificationRequest,
     *,
     keep_previous: bool = False,
 ) -> None:
@@ -171,7 +171,7 @@ def begin(
     write_atomically(folder / REQUEST, json.dumps(asdict(request), indent=1) + "\n")
 
 
-def verify(
+def run_verification(
     folder: Path, loaded: Loaded | None = None
 ) -> tuple[Verification, tuple[str, ...]] | None:
     """Do what is left of the verification in ``folder``; None if the user ended it.
@@ -273,10 +273,10 @@ def _is_loaded(folder: Path, name: str, applied: ExportFiles, loaded: Loaded | N
     return True
 
 
-def _read_request(folder: Path) -> Request:
+def _read_request(folder: Path) -> VerificationRequest:
     try:
         data = load_json(read_text(folder / REQUEST))
-        return record(Request, data)
+        return record(VerificationRequest, data)
     except FileNotFoundError:
         raise ConfigurationError(
             f"{folder} holds no verification: its {REQUEST} is missing; begin one with 'rotcal "
@@ -306,7 +306,7 @@ def _outcome(
     )
 
 
-def _require_known(cell: Configuration, request: Request) -> None:
+def _require_known(cell: Configuration, request: VerificationRequest) -> None:
     """Raise ConfigurationError unless a real cell states its controller and table in force."""
     if cell.simulated:
         return
@@ -323,7 +323,7 @@ def _require_known(cell: Configuration, request: Request) -> None:
         )
 
 
-def _rehearse(request: Request, calibration: Calibration) -> None:
+def _rehearse(request: VerificationRequest, calibration: Calibration) -> None:
     """Make the controller files of a perfect table; raise ConfigurationError if that fails.
 
     So a misspelt controller, or rows that it cannot hold, are reported at once.

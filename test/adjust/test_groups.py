@@ -5,7 +5,7 @@ import pytest
 from linear_worlds import Dense, lines, outputs, residuals
 from scipy import stats
 
-from rotcal_ros.adjust.groups import group_test
+from rotcal_ros.adjust.groups import group_tests
 
 RNG = np.random.default_rng(20240511)
 
@@ -28,7 +28,7 @@ def test_squares_are_what_chi_squared_falls_by_without_the_group():
     design = lines()
     errors = RNG.standard_normal(len(design))
     rows = np.arange(8, 16)
-    test = group_test(view(design, errors).group("station", "one", np.arange(8), rows))
+    [test] = group_tests([view(design, errors).group("station", "one", np.arange(8), rows)])
     left = np.delete(np.arange(len(design)), rows)
     whole = (residuals(design, errors) ** 2).sum()
     without = (residuals(design[left], errors[left]) ** 2).sum()
@@ -44,6 +44,6 @@ def test_estimated_noise_is_that_of_the_others():
     rows = np.arange(8, 16)
     whole = float((residuals(design, errors) ** 2).sum())
     group = view(design, errors).group("station", "one", np.arange(8), rows)
-    test = group_test(group, rest=(whole, 20.0))
+    [test] = group_tests([group], rest=(whole, 20.0))
     ratio = (test.squares / 5) / ((whole - test.squares) / 15)
     assert test.probability == pytest.approx(stats.f.sf(ratio, 5, 15))

@@ -70,6 +70,43 @@ def test_a_sound_turn_closes_as_often_as_stated():
     assert open_ >= 1
 
 
+def noisy(rng):
+    """Return eight steps of unknown noise, two of them with four degrees of freedom of their own.
+
+    That one alone does not close.
+    """
+    step = np.append(np.repeat(np.arange(6), 12), np.repeat([6, 7], 3))
+    component = (step > 5).astype(np.int64)
+    return Model(
+        blocks={"step": 8}, observed=[3e-6, 5e-7] @ np.eye(2)[:, component]
+        * rng.standard_normal(len(step)), std=np.full(len(step), SIGMA),
+        equations=linear(indicators((step, 8))), outputs=np.eye(8), words=WORDS, unit=MICRON,
+        components=("six", "two"), component=component, unstated=True,
+        closures=[KnownRelation("two steps do not add up", np.eye(1, 8, 6) + np.eye(1, 8, 7))],
+    )  # fmt: skip
+
+
+def test_noise_of_few_degrees_of_freedom_is_no_surer_beside_that_of_many():
+    """Student's t of the four that tell of it, not of all 70; and sound data close as often."""
+    runs, open_ = 200, 0
+    for seed in range(runs):
+        (closed,) = adjust(noisy(np.random.default_rng(seed))).closed
+        ratio = abs(closed.error[0]) / closed.std[0]
+        assert closed.probability == pytest.approx(2.0 * stats.t.sf(ratio, 4), rel=0.02)
+        open_ += closed.probability < 0.05
+    low, high = share(0.05, runs)
+    assert low < open_ / runs < high
+
+
+def test_an_effect_that_only_a_closure_shows_is_as_probable_as_that():
+    """What does not close is among what the effect explains: it does not make the noise less."""
+    _, model = turn(np.random.default_rng(1), creeping=2e-6)
+    found = adjust(replace(model, unstated=True))
+    assert found.doubts[1].startswith("it looks as if the reader turns on")
+    (closed,) = found.closed
+    assert found.doubts[1].parts[1] == pytest.approx(closed.probability, rel=0.01, abs=0.0)
+
+
 def test_protections_know_what_closes():
     """Baarda's size of an offset that only the sum shows; without it nothing does."""
     _, model = turn(np.random.default_rng(2))
@@ -91,7 +128,7 @@ def test_moves_are_seen_by_both(ways):
     knock = Disturbing("knock", "it moved", move, 1e-3, MICRON, family=True)
     _, model = turn(np.random.default_rng(4), effect=knock)
     fit = adjust(model).fit
-    closed = ClosureTest(fit, KnownRelation("", np.ones((1, M)), 2e-7), 1.0, np.inf)
+    closed = ClosureTest(fit, KnownRelation("", np.ones((1, M)), 2e-7))
     written = replace(knock, columns=move.whole(), of_each=move.width)
     one = closed.beside(knock, observe_family(fit, move))
     two = closed.beside(written, observe_family(fit, move.whole(), move.width))

@@ -8,7 +8,7 @@ from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.model import recurring
 from rotcal_ros.methods.table_balls.model import model_of
 from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
-from rotcal_ros.planning.readings import Readings, passes
+from rotcal_ros.planning.readings import Readings, pass_numbers
 
 SIGMA = 0.5e-6
 SAME = np.tile(np.arange(12), 2)
@@ -64,9 +64,11 @@ def test_a_pass_begins_with_a_station_and_where_a_position_comes_again():
     station = np.array([0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1])
     order = np.arange(13)
     expected = [0, 0, 0, 0, 0, 0, 1, 1, 1, 2, 2, 2, 2]
-    assert passes(station, position, order).tolist() == expected
+    assert pass_numbers(station, position, order).tolist() == expected
     backwards = order[::-1]
-    assert passes(station[backwards], position[backwards], backwards)[::-1].tolist() == expected
+    assert (
+        pass_numbers(station[backwards], position[backwards], backwards)[::-1].tolist() == expected
+    )
 
 
 def test_a_warm_up_is_nearly_a_sum_of_its_shapes():

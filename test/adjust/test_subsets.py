@@ -5,6 +5,7 @@ from linear_worlds import places_on_a_ring
 
 from rotcal_ros.adjust.subsets import (
     contiguous_runs,
+    distinct_of_each,
     distinct_subsets,
     largest_wrong_count,
     neighbourhoods,
@@ -36,7 +37,7 @@ def test_neighbourhoods_are_the_nearest():
 
 def test_neighbourhoods_of_several_groups_are_those_of_each():
     places = np.random.default_rng(1).standard_normal((3, 70, 3))  # more than a word of bits
-    for mine, found in zip(places, neighbourhoods_of_each(places), strict=True):
+    for mine, found in zip(places, distinct_of_each(neighbourhoods_of_each(places)), strict=True):
         apart = np.linalg.norm(mine[:, None] - mine, axis=2)
         assert len(as_sets(found)) == len(found)
         for subset in found:

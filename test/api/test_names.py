@@ -47,8 +47,9 @@ def test_a_light_name_stays_light(name):
 
 def test_a_solve_of_a_bag_loads_no_simulation_no_figures_and_no_reader_of_tables():
     loaded = in_fresh_process(
-        "import sys; from pathlib import Path; from rotcal_ros.recordings.inputs import Input; "
-        "Input(Path('examples/data/ball_plate_bag')).read().solve(); print(*sys.modules)"
+        "import sys; from pathlib import Path; "
+        "from rotcal_ros.recordings.inputs import MeasurementInput as Bag; "
+        "Bag(Path('examples/data/ball_plate_bag')).read().solve(); print(*sys.modules)"
     )
     assert "rotcal_ros.methods.ball_plate.method" in loaded
     unused = (

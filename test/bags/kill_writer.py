@@ -17,8 +17,8 @@ from typing import Any
 from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.nodes.recorder.bookkeeping import Receipt
-from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, Messages
+from rotcal_ros.nodes.recorder.bookkeeping import WriteReceipt
+from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, SerializedMessages
 
 DEFINITION = "uint64 number\nuint64 stamp_ns\n"
 READING = struct.Struct("<4xQQ")
@@ -58,12 +58,14 @@ def record(folder: Path, receipts: Any, how: dict[str, Any]) -> None:
     number = 0
     while not told_to_end and not recording.error:
         now_ns = time.time_ns() + clock_jump_ns(how, number)
-        recording.put(Messages(TRACER, [(payload(number), now_ns, now_ns)]))
+        recording.put(SerializedMessages(TRACER, [(payload(number), now_ns, now_ns)]))
         if number % 5 == 0:
-            recording.put(Messages(TABLE, [(payload(number // 5), now_ns, now_ns)]))
+            recording.put(SerializedMessages(TABLE, [(payload(number // 5), now_ns, now_ns)]))
         if number % 10 == 0:
-            recording.put(Messages(OBSERVATION, [(payload(number // 10), now_ns, now_ns)]))
-            recording.confirm(Receipt(number // 10, 0))
+            recording.put(
+                SerializedMessages(OBSERVATION, [(payload(number // 10), now_ns, now_ns)])
+            )
+            recording.confirm(WriteReceipt(number // 10, 0))
         number += 1
         time.sleep(PERIOD_S)
     recording.close({})

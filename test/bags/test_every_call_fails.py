@@ -23,8 +23,8 @@ from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.nodes.recorder.bookkeeping import Receipt
-from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, Messages
+from rotcal_ros.nodes.recorder.bookkeeping import WriteReceipt
+from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, SerializedMessages
 
 ALL = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 SAMPLE = 80
@@ -59,9 +59,9 @@ def record(folder: Path, *, earlier=None) -> tuple[list[int], str | None]:
     for step in range(STEPS):
         for _ in range(READINGS):
             time_ns += 10**6
-            recording.put(Messages(READING, [(noise.randbytes(100), time_ns, time_ns)]))
-        recording.put(Messages(OBSERVATION, [(NUMBER.pack(step), time_ns, time_ns)]))
-        recording.confirm(Receipt(step, 0))
+            recording.put(SerializedMessages(READING, [(noise.randbytes(100), time_ns, time_ns)]))
+        recording.put(SerializedMessages(OBSERVATION, [(NUMBER.pack(step), time_ns, time_ns)]))
+        recording.confirm(WriteReceipt(step, 0))
         recording.note(names.LOSSES, {"lost /cell/tracer_length": step})
     recording.close({})
     assert recording.join(60.0)

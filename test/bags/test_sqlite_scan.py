@@ -19,7 +19,7 @@ from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.recordings.missing_data import placed_in
+from rotcal_ros.recordings.missing_data import match_recorded_dropouts
 from rotcal_ros.recordings.topics import Topics
 
 MESSAGES = payloads(60)
@@ -204,7 +204,7 @@ def test_the_dropouts_of_a_converted_bag_are_shown(path: Path) -> None:
     _, verdict = read(path)
     assert verdict.dropouts == (Dropout("/cell/a", 7, 9, 3, "a test"),)
     assert "3 messages missing between 1970-01-01" in verdict.dropouts[0].sentence()
-    assert placed_in((verdict,))[0].dropout == verdict.dropouts[0]
+    assert match_recorded_dropouts((verdict,))[0].dropout == verdict.dropouts[0]
 
 
 def test_dropouts_and_observations_of_somebody_else_are_passed_over(path: Path) -> None:
@@ -230,7 +230,7 @@ def test_dropouts_and_observations_of_somebody_else_are_passed_over(path: Path) 
             database.execute("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, ?)", row)
     _, verdict = read(path)
     assert verdict.state == "complete"
-    (found,) = placed_in((verdict,))
+    (found,) = match_recorded_dropouts((verdict,))
     assert found.steps == ()
 
 

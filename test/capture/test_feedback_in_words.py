@@ -7,7 +7,7 @@ import pytest
 from capture_scenes import RULES, SECOND, SETTINGS, make_plan, make_scene, replay
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.planning.table_feedback import in_degrees
+from rotcal_ros.planning.table_feedback import looks_like_degrees
 
 PLAN = make_plan()
 ANGLE = 0.5  # of step 1, rad
@@ -45,9 +45,9 @@ def test_degrees_are_named():
 
 @pytest.mark.parametrize("turns", [-2, 0, 1])
 def test_degrees_count_full_turns_too(turns):
-    assert in_degrees(degrees(ANGLE) + 360.0 * turns, ANGLE)
-    assert not in_degrees(ANGLE, ANGLE)
-    assert not in_degrees(degrees(ANGLE) + 1.0, ANGLE)
+    assert looks_like_degrees(degrees(ANGLE) + 360.0 * turns, ANGLE)
+    assert not looks_like_degrees(ANGLE, ANGLE)
+    assert not looks_like_degrees(degrees(ANGLE) + 1.0, ANGLE)
 
 
 def test_a_table_that_is_not_in_position_is_told_long_before_the_attempt_is_given_up():

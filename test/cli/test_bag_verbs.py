@@ -20,7 +20,7 @@ from rotcal_ros import methods
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result as Solution
-from rotcal_ros.planning.choices import Choice, Standing
+from rotcal_ros.planning.choices import PolicyProgress, StepChoice
 from rotcal_ros.recordings.recorded_setup import RecordedChoice
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
@@ -139,7 +139,7 @@ def test_choices_are_asked_of_the_streams_where_the_observations_differ(
     in_streams: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A killed capture had readings on disk that it never reported as an observation."""
-    made = RecordedChoice(1, 0, 0, Choice(7, "first sweep", Standing(25)))
+    made = RecordedChoice(1, 0, 0, StepChoice(7, "first sweep", PolicyProgress(25)))
     found = {"observations": ("run 1, choice 0: 26 left",), "streams": in_streams}
 
     def read(_: Path, source: str = "streams", **_options: Any) -> Any:

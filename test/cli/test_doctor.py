@@ -62,24 +62,24 @@ MAX_LIMIT = 360
 def test_the_tables_of_a_linuxcnc(tmp_path):
     path = tmp_path / "machine.ini"
     path.write_text(MACHINE)
-    (check,) = doctor.tables(path)
+    (check,) = doctor.check_linuxcnc_tables(path)
     assert (check.ok, check.found) == (False, f"{path} names none")
     path.write_text(MACHINE + "COMP_FILE = a.comp\nCOMP_FILE_TYPE = 1\n")
     (tmp_path / "a.comp").write_text("0 0 0\n180 0.01 0.01\n360 0 0\n")
-    (check,) = doctor.tables(path)
+    (check,) = doctor.check_linuxcnc_tables(path)
     assert (check.ok, check.found) == (True, "[JOINT_0] a.comp, type 1")
     path.write_text(path.read_text().replace("TYPE = 1", "TYPE = 0"))
-    (check,) = doctor.tables(path)
+    (check,) = doctor.check_linuxcnc_tables(path)
     assert not check.ok
     assert "read as type 0 the largest trim is 360 deg" in check.found
     assert "rotcal export --machine-ini" in check.advice
-    (check,) = doctor.tables(tmp_path / "none.ini")
+    (check,) = doctor.check_linuxcnc_tables(tmp_path / "none.ini")
     assert "cannot read the machine's ini file" in check.found
 
 
 def test_a_missing_compiler(monkeypatch):
     monkeypatch.setenv("CXX", "no-such-compiler")
-    check = doctor.compiler()
+    check = doctor.check_compiler()
     assert not check.ok
     assert "apt install g++" in check.advice
 
@@ -87,13 +87,13 @@ def test_a_missing_compiler(monkeypatch):
 def test_a_missing_package(monkeypatch):
     needed = ["numpy", "no-such-package", 'no-other-package; extra == "many"']
     monkeypatch.setattr(metadata, "requires", lambda _: needed)
-    check = doctor.packages()
+    check = doctor.check_packages()
     assert not check.ok
     assert check.found == "missing no-such-package"
 
 
 def test_a_folder_that_cannot_be_written():
-    check = doctor.writable(doctor.Path("/proc/rotcal"))
+    check = doctor.check_writable(doctor.Path("/proc/rotcal"))
     assert not check.ok
     assert check.found.startswith("/proc: ")
 
@@ -101,7 +101,7 @@ def test_a_folder_that_cannot_be_written():
 def test_a_full_disk(monkeypatch, tmp_path):
     usage = namedtuple("usage", "total used free")(10, 9, 1_000_000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    assert not doctor.space(tmp_path).ok
+    assert not doctor.check_disk_space(tmp_path).ok
 
 
 @pytest.mark.parametrize(
@@ -119,13 +119,13 @@ def test_the_distribution_is_what_rclpy_says(monkeypatch, rclpy, sourced, ok, fo
     monkeypatch.setattr(util, "find_spec", lambda _: True)
     monkeypatch.setattr(doctor, "rclpy_version", lambda: rclpy)
     monkeypatch.setenv("ROS_DISTRO", sourced)
-    check = doctor.ros()
+    check = doctor.check_ros()
     assert (check.ok, check.found) == (ok, found)
 
 
 @pytest.mark.ros
 def test_the_nodes_start():
-    check = doctor.nodes()
+    check = doctor.check_nodes()
     assert check.ok, check.found
     assert check.found.startswith("planner, capture, solver, recorder started")
 
@@ -135,7 +135,7 @@ def test_a_node_that_cannot_start_is_seen(monkeypatch):
     start_trial = pytest.importorskip("rotcal_ros.nodes.check.start_trial")
     monkeypatch.setattr(start_trial, "NODES", ("no_such_node",))
     with pytest.raises(start_trial.NodeError) as wrong:
-        start_trial.trial()
+        start_trial.start_and_end_all_nodes()
     assert str(wrong.value).startswith("no_such_node ended with 1: ")
     assert "No module named 'rotcal_ros.nodes.no_such_node'" in str(wrong.value)
 
@@ -158,7 +158,7 @@ def test_on_a_busy_machine_a_node_is_given_more_time_to_end(monkeypatch):
 
 @pytest.mark.ros
 def test_the_rate_is_tried_with_all_that_recorder_and_capture_do(tmp_path):
-    check = doctor.rate(tmp_path / "not made yet")
+    check = doctor.check_rate(tmp_path / "not made yet")
     assert re.match(r"\d+ of 5000 readings in 5 s came and were written, the longest", check.found)
     assert re.search(r"; load \d+\.\d on \d+ cores?$", check.found)
     assert list(tmp_path.iterdir()) == []
@@ -176,7 +176,7 @@ def test_the_rate_is_tried_with_all_that_recorder_and_capture_do(tmp_path):
 def test_a_reading_that_is_missing_or_a_long_wait_is_told(came, written, longest_s, error, ok):
     rate_trial = pytest.importorskip("rotcal_ros.nodes.check.rate_trial")
     recording = SimpleNamespace(messages=written, finished=True, error=error)
-    found, text = rate_trial.verdict(5000, came, recording, longest_s)
+    found, text = rate_trial.rate_verdict(5000, came, recording, longest_s)
     assert found is ok
     assert text.startswith(f"{min(came, written)} of 5000 readings")
     assert f"the longest wait was {1000 * longest_s:.0f} ms" in text
@@ -185,6 +185,6 @@ def test_a_reading_that_is_missing_or_a_long_wait_is_told(came, written, longest
 
 @pytest.mark.ros
 def test_a_message_comes_back():
-    check = doctor.loopback()
+    check = doctor.check_loopback()
     assert check.ok, check.found
     assert "came back" in check.found

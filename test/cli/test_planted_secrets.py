@@ -122,7 +122,7 @@ COMMANDS = [
 def test_no_command_shows_or_keeps_one(tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ROTCAL_HISTORY", URL)
-    monkeypatch.setattr("rotcal_ros.cli.doctor.checks", lambda _output: iter(()))
+    monkeypatch.setattr("rotcal_ros.cli.doctor.run_checks", lambda _output: iter(()))
     planted = {"own.yaml": f"method: tracer\nidentity: {{item: '{URL}'}}\n", "bags.txt": URL}
     for name, text in planted.items():
         Path(name).write_text(text)

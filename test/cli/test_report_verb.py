@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.cli.report import page_beside
+from rotcal_ros.cli.report import default_report_path
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -90,9 +90,9 @@ def test_a_report_never_goes_into_a_bag(session):
 def test_the_name_follows_the_source(session, tmp_path):
     other = shutil.copytree(session / "bag", tmp_path / "run.1")
     single = shutil.copy(session / "bag" / "bag_0.mcap", tmp_path / "alone.mcap")
-    assert page_beside(session / "bag") == session / "report.html"
-    assert page_beside(session / "bag" / "bag_0.mcap") == session / "report.html"
-    assert page_beside(session / "result.json") == session / "report.html"
-    assert page_beside(other) == tmp_path / "run.1_report.html"
-    assert page_beside(Path(single)) == tmp_path / "alone_report.html"
-    assert page_beside(tmp_path / "lengths.csv") == tmp_path / "lengths_report.html"
+    assert default_report_path(session / "bag") == session / "report.html"
+    assert default_report_path(session / "bag" / "bag_0.mcap") == session / "report.html"
+    assert default_report_path(session / "result.json") == session / "report.html"
+    assert default_report_path(other) == tmp_path / "run.1_report.html"
+    assert default_report_path(Path(single)) == tmp_path / "alone_report.html"
+    assert default_report_path(tmp_path / "lengths.csv") == tmp_path / "lengths_report.html"

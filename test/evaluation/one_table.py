@@ -26,7 +26,7 @@ from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver import TracerProblem
 from rotcal_ros.methods.tracer_six import solver as tracer_six
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.planning.points import block
+from rotcal_ros.planning.points import serpentine_grid
 
 BALLS: Final = (0, 3, 4, 9, 14, 20)
 MOUNT: Final = np.array([0.065, 0.0, 0.12])
@@ -115,7 +115,7 @@ def by_tracer_at_places(
     own = instruments or Instruments()
     rows = np.arange(0, len(deviations), every)
     angles = angles_of(len(deviations))[rows]
-    targets = np.array(block((0.0, 0.0, 0.62), (1.2, 1.0, 0.8), (3, 2, 2)))
+    targets = np.array(serpentine_grid((0.0, 0.0, 0.62), (1.2, 1.0, 0.8), (3, 2, 2)))
     seen = targets + rng.normal(0.0, own.target, targets.shape)
     around = TURN / 3 * np.arange(3)
     places = np.column_stack([0.15 * np.cos(around), 0.15 * np.sin(around), np.full(3, 0.12)])

@@ -12,7 +12,7 @@ from rotcal_ros.evaluation.joint import JointInput, combine, predicted_together,
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate.solver import solve
-from rotcal_ros.recordings.result_sources import instrument_of
+from rotcal_ros.recordings.result_sources import joint_input
 
 SHIFTS, OTHER_SHIFTS = (0.0, -30.0, -150.0), (0.0, -60.0, -90.0)
 MEAN = np.eye(GRID) - 1.0 / GRID
@@ -267,7 +267,7 @@ def test_data_that_contradict_each_other_alone_join_and_are_doubted(monkeypatch)
         raise DataError("the readings contradict each other")
 
     monkeypatch.setattr("rotcal_ros.methods.calibration.Calibration.solve", refuse)
-    found = solve_together([instrument_of("first", measured[0]), second]).result
+    found = solve_together([joint_input("first", measured[0]), second]).result
     assert found.verdict == "suspect"
     assert found.warnings == ("first is suspect (alone: the readings contradict each other)",)
     np.testing.assert_allclose(found.deviations["ECC"], expected.deviations["ECC"], atol=1e-15)
@@ -276,7 +276,7 @@ def test_data_that_contradict_each_other_alone_join_and_are_doubted(monkeypatch)
         "rotcal_ros.methods.calibration.Calibration.model_of_curves", lambda *_arguments: None
     )
     with pytest.raises(DataError, match="contradict each other"):
-        instrument_of("first", measured[0])
+        joint_input("first", measured[0])
 
 
 def test_what_cannot_be_solved_together():

@@ -153,7 +153,7 @@ def test_page_and_terminal_show_the_same_marks_in_their_colours(tolerance_arcsec
 def test_solve_shows_the_marks_in_their_colours_at_a_terminal(
     tolerance_arcsec, capsys, monkeypatch
 ):
-    monkeypatch.setattr("rotcal_ros.report.terminal.columns.for_people", lambda: True)
+    monkeypatch.setattr("rotcal_ros.report.terminal.columns.is_terminal", lambda: True)
     monkeypatch.setattr("click.utils.should_strip_ansi", lambda *_: False)
     given = result(tolerance_arcsec)
     print_result(given)

@@ -62,7 +62,7 @@ def test_a_radial_harmonic_of_1_5_um_leaves_no_valid_u(harmonic):
 @pytest.fixture
 def printed(capsys, monkeypatch):
     """Return a function that prints a result as at a terminal, and gives back the text."""
-    monkeypatch.setattr(columns, "for_people", lambda: True)
+    monkeypatch.setattr(columns, "is_terminal", lambda: True)
 
     def text(result) -> str:
         print_result(result)

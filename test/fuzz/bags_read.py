@@ -18,10 +18,10 @@ from properties import LieError, suppress_rotcal
 def read_bag(path: Path) -> None:
     from rotcal_ros.bags.reader import bag_files, check_files
     from rotcal_ros.recordings.replay import read_recording
-    from rotcal_ros.recordings.summary import describe
+    from rotcal_ros.recordings.summary import summarise_bag
 
     with suppress_rotcal():
-        json.dumps(describe(path).to_dict())
+        json.dumps(summarise_bag(path).to_dict())
     with suppress_rotcal():
         read_recording(path)
     (verdict,) = check_files(bag_files(path))

@@ -47,11 +47,11 @@ def read_description(path: Path) -> None:
     from rotcal_ros.bags.reader import bag_files, check_files
     from rotcal_ros.bags.repair import reindex
     from rotcal_ros.bags.session_verdict import judge_session
-    from rotcal_ros.recordings.summary import describe
+    from rotcal_ros.recordings.summary import summarise_bag
 
     (path.parent / BAG).write_bytes(_bag())
     with suppress_rotcal():
-        json.dumps(describe(path.parent).to_dict())
+        json.dumps(summarise_bag(path.parent).to_dict())
     if crc32(path.read_bytes()) % 8 == 0:  # solving takes longer, and looks as describing does
         with suppress_rotcal():
             _read(path.parent)

@@ -177,11 +177,11 @@ def _read_result(path: Path) -> None:
 
 def _read_report(path: Path) -> None:
     from rotcal_ros.recordings.result_sources import read_source
-    from rotcal_ros.report.page import write_result
+    from rotcal_ros.report.page import report_result
 
     page = path.with_suffix(".html")
     try:
-        write_result(read_source(path), page)
+        report_result(read_source(path), page)
         require_visible(page.read_text(encoding="utf-8"))
     finally:
         page.unlink(missing_ok=True)

@@ -29,7 +29,7 @@ from rotcal_ros.methods.disturbance import of_readings
 from rotcal_ros.methods.measurements import planned_table
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.planning.plan import Plan, numbered_steps, pauses_at_stations
-from rotcal_ros.report.page import reliability_of_observations
+from rotcal_ros.report.page import reliability_section
 
 SIGMA = 0.1 * ARCSEC
 PLACES, RUNS = 6, 3
@@ -237,6 +237,6 @@ def test_what_the_model_tells_beside_becomes_a_table_in_the_unit_of_its_readings
 
 
 def test_the_report_tells_errors_of_readings_in_their_unit_and_not_in_micrometres():
-    page = reliability_of_observations(METHOD.solve(None, PLAN, observed(exact())))
+    page = reliability_section(METHOD.solve(None, PLAN, observed(exact())))
     assert "Error / arcsec" in page
     assert "µm" not in page

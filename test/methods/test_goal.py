@@ -17,7 +17,7 @@ from rotcal_ros.methods.tracer.goal_policy import compare, papers_plan
 from rotcal_ros.methods.tracer.method import problem
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.solve import IN_ONE_PLANE
-from rotcal_ros.planning.choices import Choice, Standing
+from rotcal_ros.planning.choices import PolicyProgress, StepChoice
 
 CONFIG = Path(__file__).parents[2] / "config"
 DEMO, PAPER = (read_configuration(CONFIG / f"tracer_{name}.yaml") for name in ("demo", "paper"))
@@ -149,8 +149,8 @@ def test_the_standing_counts_and_tells_why_it_stopped(demo):
     measured = demo.measured({}, seed=2).observations
     observed = [o for o in measured if o.step in set(steps[1:])]
     goal = 0.79 * ARCSEC
-    choices = [Choice(step, "first sweep", Standing(9, 1e-5, goal)) for step in steps]
-    choices.append(Choice(None, "goal reached", Standing(0, 0.7 * ARCSEC, goal)))
+    choices = [StepChoice(step, "first sweep", PolicyProgress(9, 1e-5, goal)) for step in steps]
+    choices.append(StepChoice(None, "goal reached", PolicyProgress(0, 0.7 * ARCSEC, goal)))
     result = demo.solve(observed)
     standing = goal_standing(demo, result, choices, observed)
     assert (standing.goal, standing.reason) == (goal, "goal reached")
@@ -164,7 +164,10 @@ def test_the_standing_counts_and_tells_why_it_stopped(demo):
     stopped = goal_standing(demo, result, choices[:-1], observed)
     assert "interrupted" in stopped.reason
     assert (
-        goal_standing(demo, result, [Choice(0, "next of the list", Standing(1))], observed) is None
+        goal_standing(
+            demo, result, [StepChoice(0, "next of the list", PolicyProgress(1))], observed
+        )
+        is None
     )
 
 

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
-from rotcal_ros.planning.table_angles import visits
+from rotcal_ros.planning.table_angles import planned_arrivals
 
 TARGETS, RUNS = 8, 5
 BACKLASH, REPEATABILITY, LENGTH_STD = 3.0 * ARCSEC, 0.5 * ARCSEC, 5e-8
@@ -64,11 +64,13 @@ def measured(task, seed, backlash=BACKLASH):
 
 
 def test_runs_go_up_from_below_and_down_from_above():
-    order = visits(3, 2, bidirectional=True)
+    order = planned_arrivals(3, 2, bidirectional=True)
     assert [v.target for v in order] == [0, 1, 2, 2, 1, 0] * 2
     assert [v.run for v in order] == [0] * 6 + [1] * 6
     assert [v.approach for v in order[:6]] == [Approach.POSITIVE] * 3 + [Approach.NEGATIVE] * 3
-    assert [v.approach for v in visits(3, 1, bidirectional=False)] == [Approach.POSITIVE] * 3
+    assert [v.approach for v in planned_arrivals(3, 1, bidirectional=False)] == [
+        Approach.POSITIVE
+    ] * 3
 
 
 def test_plan_measures_all_targets_at_each_arrival():

@@ -7,14 +7,14 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
-from rotcal_ros.nodes.runtime.running import Peer
+from rotcal_ros.nodes.runtime.running import PeerNode
 
 
 class StateClient:
     """Asks nodes for their state, and for others; a context that leaves the graph."""
 
     def __init__(self):
-        self.peer = Peer("state_client", "/cell")
+        self.peer = PeerNode("state_client", "/cell")
         self._clients = {}
 
     def __enter__(self):

@@ -3,7 +3,7 @@
 import pytest
 from live_cell import SUITE, wait_until
 
-from rotcal_ros.recordings.summary import describe
+from rotcal_ros.recordings.summary import summarise_bag
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -56,7 +56,7 @@ def test_a_cell_goes_through_all_states_and_a_dumped_planner_measures_the_same(c
     live.start("planner", name="planner")
     second = live.client("second", configuration=None).result()
     assert second["error_code"] == 0, second["error_msg"]
-    plans = [describe(session / "bag").configuration for session in (before, live.session)]
+    plans = [summarise_bag(session / "bag").configuration for session in (before, live.session)]
     assert plans[0].plan_id == plans[1].plan_id
     for node in NODES:
         assert "Traceback" not in live.log(node)

@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.nodes.planner.cell_links import CellLinks
-from rotcal_ros.nodes.readiness import waiting_for, what_next
+from rotcal_ros.nodes.readiness import inactive_node_lines, next_steps
 
 IDLE = NodeState.of(State.INACTIVE, Why.TO_ACTIVATE, "/cell/capture")
 READY, WAITING = NodeState(State.READY), NodeState(State.WAITING)
@@ -37,11 +37,11 @@ class Heard:
 
 def test_each_node_that_is_not_active_is_named_with_what_to_do():
     heard = Heard(planner=READY, capture=IDLE)
-    assert waiting_for(heard, ["planner", "capture", "solver"]) == [
+    assert inactive_node_lines(heard, ["planner", "capture", "solver"]) == [
         TOLD,
         "node solver is not there (yet)",
     ]
-    assert waiting_for(Heard(planner=READY), ["planner"]) == []
+    assert inactive_node_lines(Heard(planner=READY), ["planner"]) == []
 
 
 def test_a_goal_waits_for_every_node_but_those_it_does_not_need():
@@ -50,8 +50,8 @@ def test_a_goal_waits_for_every_node_but_those_it_does_not_need():
 
 
 def test_the_goal_is_sent_to_this_cell_in_this_domain():
-    text = what_next("/left/cell/", ["planner"], "7")
+    text = next_steps("/left/cell/", ["planner"], "7")
     assert "ros2 action send_goal --feedback /left/cell/calibrate rotcal_msgs/action/Calib" in text
     assert "rotcal_msgs/action/Calibrate '{}'\n" in text
     assert "ROS_DOMAIN_ID=7\n" in text
-    assert "ROS_DOMAIN_ID" not in what_next("/cell", ["planner"], "")
+    assert "ROS_DOMAIN_ID" not in next_steps("/cell", ["planner"], "")

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.planner.node import Planner
 from rotcal_ros.nodes.recorder.node import RecorderNode
-from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.cell_node import CellNode, wait_for_condition
 from rotcal_ros.nodes.runtime.running import default_context
 from rotcal_ros.nodes.solver.node import SolverNode
 
@@ -39,7 +39,7 @@ class Waiting(CellNode):
 
     async def wait(self, _request, response):
         enough = self.ticks + 3
-        response.success = await until(lambda: self.ticks >= enough, 5.0)
+        response.success = await wait_for_condition(lambda: self.ticks >= enough, 5.0)
         return response
 
     def _report(self):

@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import ProbePoint, ProbeTarget, TableAngle, TracerLength
 from sensor_msgs.msg import JointState, Temperature
 
-from rotcal_ros.nodes.runtime.conversions import header
+from rotcal_ros.nodes.runtime.conversions import make_header
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
 
 OFF_NS = 4_000_000_000
@@ -47,19 +47,19 @@ class WrongMachine(Node):
         now = time.time_ns()
         angle = math.degrees(self._angle) if self._wrong == "degrees" else self._angle
         table = JointState(name=["C"], position=[angle], velocity=[0.0])
-        table.header = header(now)
+        table.header = make_header(now)
         self._joints.publish(table)
         length = TracerLength(sequence=self._number, length=1e-3 * self._angle, status=1)
-        length.header = header(now - (OFF_NS if self._wrong == "clock" else 0))
+        length.header = make_header(now - (OFF_NS if self._wrong == "clock" else 0))
         self._lengths.publish(length)
         self._number += 1
 
     def _idle(self):
         self._point()
-        self._air.publish(Temperature(header=header(time.time_ns()), temperature=20.0))
+        self._air.publish(Temperature(header=make_header(time.time_ns()), temperature=20.0))
 
     def _point(self, **values):
-        self._points.publish(ProbePoint(header=header(time.time_ns()), **values))
+        self._points.publish(ProbePoint(header=make_header(time.time_ns()), **values))
 
 
 if __name__ == "__main__":

@@ -20,11 +20,11 @@ class Nobody:
 
     def __getattr__(self, name):
         def answer(*arguments):
-            from rotcal_ros.page.app import Answer
+            from rotcal_ros.page.app import ActionOutcome
 
             self.asked.append((name, *arguments))
             future = Future()
-            future.set_result(Answer(True, "done"))
+            future.set_result(ActionOutcome(True, "done"))
             return future
 
         return answer
@@ -45,9 +45,9 @@ def shown(chromium):
     pytest.importorskip("starlette")
     from rotcal_ros.page.app import PageServer
     from rotcal_ros.page.settings import PageSettings
-    from rotcal_ros.page.state import Board
+    from rotcal_ros.page.state import StateBoard
 
-    board, nobody, pages, errors = Board(), Nobody(), [], []
+    board, nobody, pages, errors = StateBoard(), Nobody(), [], []
     server = PageServer(PageSettings(), board, nobody)
 
     def open_page(sections, scheme="light", size=(1280, 1500), **options):

@@ -6,7 +6,7 @@ from test_page_pause import SECOND, pause
 from test_page_stopped import STOPPED
 from test_page_words import DONE, MEASURING
 
-from rotcal_ros.page.state import LogLine, now
+from rotcal_ros.page.state import LogLine, current_activity
 
 pytest.importorskip("playwright.sync_api")
 
@@ -17,7 +17,7 @@ STATES = {
     "measuring": MEASURING | {"log": LOG},
     "pause": pause(SECOND, 90.0),
     "done": DONE,
-    "stopped": MEASURING | {"now": now(STOPPED)},
+    "stopped": MEASURING | {"now": current_activity(STOPPED)},
 }
 
 

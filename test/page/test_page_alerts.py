@@ -5,7 +5,7 @@ from test_page_pause import SECOND, pause
 from test_page_stopped import STOPPED
 from test_page_words import DONE, MEASURING
 
-from rotcal_ros.page.state import now
+from rotcal_ros.page.state import current_activity
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
@@ -70,7 +70,7 @@ def test_a_pause_is_heard_and_notified_once(listening, shown):
 
 
 @pytest.mark.parametrize("permission", ["denied", "default"])
-@pytest.mark.parametrize("end", [DONE, {"now": now(STOPPED)}])
+@pytest.mark.parametrize("end", [DONE, {"now": current_activity(STOPPED)}])
 def test_without_permission_an_end_is_heard_alone(listening, shown, permission, end):
     page = listening(permission)
     shown.board.show(**end)

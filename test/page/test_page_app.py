@@ -13,9 +13,16 @@ from starlette.testclient import TestClient
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.page import app as page_app
-from rotcal_ros.page.app import STATIC, Answer, make_app
+from rotcal_ros.page.app import STATIC, ActionOutcome, make_app
 from rotcal_ros.page.settings import PageSettings
-from rotcal_ros.page.state import Board, Cell, LogLine, Now, PageState, changes
+from rotcal_ros.page.state import (
+    Cell,
+    CurrentActivity,
+    LogLine,
+    PageState,
+    StateBoard,
+    state_changes,
+)
 
 ORIGIN = "http://127.0.0.1:8000"
 PASSWORD = "a page of one's own"
@@ -40,7 +47,7 @@ class Cellar:
     def _done(self, *what):
         self.asked.append(what)
         future = Future()
-        future.set_result(Answer(True, "as you wish"))
+        future.set_result(ActionOutcome(True, "as you wish"))
         return future
 
 
@@ -51,7 +58,7 @@ def cellar():
 
 @pytest.fixture
 def guard(cellar):
-    return make_app(Board(), cellar, "127.0.0.1")
+    return make_app(StateBoard(), cellar, "127.0.0.1")
 
 
 @pytest.fixture
@@ -175,7 +182,7 @@ def test_a_name_that_somebody_lets_point_here_is_not_served(client, host, status
 
 
 def test_a_token_is_of_one_start_only(cellar):
-    tokens = {make_app(Board(), cellar, "127.0.0.1").token for _ in range(3)}
+    tokens = {make_app(StateBoard(), cellar, "127.0.0.1").token for _ in range(3)}
     assert len(tokens) == 3
     assert min(map(len, tokens)) >= 32
 
@@ -190,7 +197,7 @@ def test_a_request_that_is_no_confirmation_is_refused(client, guard, cellar):
 
 def test_a_refusal_of_the_cell_is_told_in_its_words(client, guard, cellar, monkeypatch):
     future = Future()
-    future.set_result(Answer(False, "nothing is waiting to be resumed"))
+    future.set_result(ActionOutcome(False, "nothing is waiting to be resumed"))
     monkeypatch.setattr(cellar, "resume", lambda _instruction: future)
     answer = client.post("/resume", json={"instruction": "x"}, headers=own(guard))
     assert (answer.status_code, answer.json()["message"]) == (
@@ -210,7 +217,7 @@ def test_an_answer_after_the_time_limit_harms_nobody(client, guard, cellar, monk
     monkeypatch.setattr(page_app, "ANSWER_TIMEOUT_S", 0.01)
     monkeypatch.setattr(cellar, "stop", lambda: late)
     assert client.post("/stop", headers=own(guard)).status_code == 504
-    late.set_result(Answer(True, "too late"))  # as the node's executor would
+    late.set_result(ActionOutcome(True, "too late"))  # as the node's executor would
     assert late.result().message == "too late"
 
 
@@ -227,7 +234,7 @@ def basic(text):
 
 
 def test_with_a_password_nothing_is_served_without_it(cellar, secret):
-    guard = make_app(Board(), cellar, "0.0.0.0", secret)
+    guard = make_app(StateBoard(), cellar, "0.0.0.0", secret)
     client = TestClient(guard, base_url=ORIGIN)
     for path in ("/", "/static/main.js", "/events"):
         refused = client.get(path)
@@ -263,8 +270,8 @@ def test_a_host_that_is_no_address_is_refused():
 
 
 def test_a_late_viewer_gets_everything_then_changes():
-    board = Board()
-    board.show(cell=Cell(item="T-100"), now=Now("measuring", "Measuring"))
+    board = StateBoard()
+    board.show(cell=Cell(item="T-100"), now=CurrentActivity("measuring", "Measuring"))
     ((name, data),) = events(board, 1, token="secret")
     assert name == "state"
     assert data["token"] == "secret"
@@ -275,27 +282,27 @@ def test_a_late_viewer_gets_everything_then_changes():
 
 @pytest.mark.slow
 def test_a_viewer_hears_that_the_page_lives_although_nothing_changes():
-    first, second, third = events(Board(), 3)
+    first, second, third = events(StateBoard(), 3)
     assert [first[0], second[0], third[0]] == ["state", "tick", "tick"]
     assert third[1]["time_s"] > second[1]["time_s"] > first[1]["time_s"]
 
 
 def test_after_the_end_nothing_more_comes():
-    board = Board()
+    board = StateBoard()
     board.show(ended=True)
     assert [name for name, _ in events(board, 5)] == ["state"]
 
 
 def test_only_what_changed_is_sent():
     old = PageState(cell=Cell(item="T-100"))
-    new = PageState(cell=Cell(item="T-100"), now=Now("ready", "Ready"))
-    assert changes(old, new).keys() == {"now"}
-    assert changes(old, old) == {}
-    assert changes(None, old).keys() == {*PageState.__slots__}
+    new = PageState(cell=Cell(item="T-100"), now=CurrentActivity("ready", "Ready"))
+    assert state_changes(old, new).keys() == {"now"}
+    assert state_changes(old, old) == {}
+    assert state_changes(None, old).keys() == {*PageState.__slots__}
 
 
 def test_what_is_no_number_becomes_nothing():
-    text = json.dumps(changes(None, PageState(log=(LogLine(float("nan"), True, "n", "t"),))))
+    text = json.dumps(state_changes(None, PageState(log=(LogLine(float("nan"), True, "n", "t"),))))
     assert json.loads(text)["log"] == [{"time_s": None, "error": True, "node": "n", "text": "t"}]
 
 

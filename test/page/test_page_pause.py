@@ -7,24 +7,32 @@ import pytest
 
 from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import place_in_words
-from rotcal_ros.page.state import HeardPlanner, PlanView, Pointing, Task, now
+from rotcal_ros.page.state import (
+    OperatorTask,
+    OrderedStep,
+    PlannerStatus,
+    PlanView,
+    current_activity,
+)
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
 pytestmark = pytest.mark.slow
 
-SECOND = Task("tracer", 2, 3, 1, (-0.075, 0.12990381, 0.12), rides=True)  # 150 mm at 120 deg
-TRACKER = Task("tracker", 1, 2, 0, (0.0, 2.0, 0.3))
+SECOND = OperatorTask(
+    "tracer", 2, 3, 1, (-0.075, 0.12990381, 0.12), rides=True
+)  # 150 mm at 120 deg
+TRACKER = OperatorTask("tracker", 1, 2, 0, (0.0, 2.0, 0.3))
 VIEW = PlanView(tuple(45.0 * i for i in range(8)), ((0.3, 0.3), (-0.3, 0.3)), ((0.15, 0.0),))
-BEAM = Pointing(place_in_words(5, 34), 90.0, (0.3, 0.3), (0.15, 0.0), (0.0, 90.0))
+BEAM = OrderedStep(place_in_words(5, 34), 90.0, (0.3, 0.3), (0.15, 0.0), (0.0, 90.0))
 
 
 def pause(task, table_deg, instruction="fix the tracer; it must not move"):
-    heard = HeardPlanner(
+    heard = PlannerStatus(
         NodeState(State.CALIBRATING), calibrating=True, doing=Why.WORK, instruction=instruction,
         task=task,
     )  # fmt: skip
-    sections = {"now": now(heard), "task": task, "table_deg": table_deg}
+    sections = {"now": current_activity(heard), "task": task, "table_deg": table_deg}
     return sections | {"view": VIEW, "pointing": BEAM}
 
 
@@ -75,7 +83,8 @@ def test_a_tracker_beside_the_table_does_not_turn_with_it(shown):
 def test_the_beam_is_drawn_while_it_measures(shown):
     page = shown(pause(SECOND, 90.0))
     shown.board.show(
-        now=now(HeardPlanner(NodeState(State.CALIBRATING), calibrating=True)), task=None
+        now=current_activity(PlannerStatus(NodeState(State.CALIBRATING), calibrating=True)),
+        task=None,
     )
     expect(page.locator("#view .beam")).to_have_count(1)
     assert page.locator("#task_view").is_hidden()
@@ -83,7 +92,7 @@ def test_the_beam_is_drawn_while_it_measures(shown):
 
 def test_work_that_was_not_done_well_says_what_is_wrong(shown):
     wrong = "not right yet: the tracer is 3 mm off; correct it (fix the tracer)"
-    again = Task(SECOND.what, 2, 3, 1, SECOND.at, rides=True, again=True)
+    again = OperatorTask(SECOND.what, 2, 3, 1, SECOND.at, rides=True, again=True)
     page = shown(pause(again, 90.0, wrong))
     expect(page.locator("#headline")).to_have_text("Not in place yet: tracer at place 2 of 3")
     expect(page.locator("#detail")).to_have_text(re.compile("the tracer is 3 mm off"))
@@ -109,9 +118,9 @@ def test_the_picture_fits_and_stands_above_the_fold(shown, size, task):
 
 def test_a_stop_says_what_happened_from_its_reason():
     stopped = NodeState(State.CALIBRATING, (Reason.of(Why.STOPPED, "door is open"),))
-    heard = HeardPlanner(
+    heard = PlannerStatus(
         stopped, calibrating=True, doing=Why.STOPPED, instruction="emergency stop"
     )
-    found = now(heard)
+    found = current_activity(heard)
     assert (found.kind, found.headline) == ("emergency", "Emergency stop: door is open.")
     assert found.detail.endswith("Release the stop, then press Continue.")

@@ -23,7 +23,7 @@ def shown(message, tolerance_arcsec=0.0):
     from rotcal_ros.foundation.identity import Identity
     from rotcal_ros.nodes.operator_page import sections as page_sections
 
-    return page_sections.deviations(message, Identity(tolerance_arcsec=tolerance_arcsec))
+    return page_sections.deviations_section(message, Identity(tolerance_arcsec=tolerance_arcsec))
 
 
 @pytest.mark.parametrize(
@@ -95,33 +95,33 @@ def test_a_pause_is_a_task_that_counts_from_one():
     pause = Pause(waiting=True, kind=Pause.KIND_MOVE, what="tracer", station=1, step=planned.first,
                   position=planned.move.position, instruction=planned.instruction)  # fmt: skip
     pause.header.frame_id = "table"
-    task = page_sections.task(calibration, pause)
+    task = page_sections.operator_task(calibration, pause)
     assert (task.what, task.number, task.count, task.station) == ("tracer", 2, 3, 1)
     assert task.at == pytest.approx(planned.move.position)
     assert (task.rides, task.again) == (True, False)
     pause.instruction = f"not right yet: it moved; correct it ({planned.instruction})"
-    assert page_sections.task(calibration, pause).again
+    assert page_sections.operator_task(calibration, pause).again
     pause.waiting = False
-    assert page_sections.task(calibration, pause) is None
+    assert page_sections.operator_task(calibration, pause) is None
 
 
 def test_the_command_names_the_session_of_a_bag_that_is_here(tmp_path):
     from rotcal_ros.nodes.operator_page import sections as page_sections
 
     (tmp_path / "table" / "bag").mkdir(parents=True)
-    assert page_sections.command(str(tmp_path / "table" / "bag")) == ""
+    assert page_sections.resume_command_line(str(tmp_path / "table" / "bag")) == ""
     (tmp_path / "table" / "configuration.yaml").write_text("method: tracer_multistation\n")
-    assert page_sections.command(str(tmp_path / "table" / "bag")).endswith(
+    assert page_sections.resume_command_line(str(tmp_path / "table" / "bag")).endswith(
         f"--resume {tmp_path / 'table'}"
     )
-    assert page_sections.command("") == ""
+    assert page_sections.resume_command_line("") == ""
 
 
 def test_a_drift_is_the_slope_of_the_last_hour_and_known_after_a_minute():
-    from rotcal_ros.nodes.operator_page.node import drift
+    from rotcal_ros.nodes.operator_page.node import drift_k_per_h
 
     hour = [(1.7e9 + 10.0 * k, 20.0 + 0.36 * k / 360.0) for k in range(361)]
-    assert drift(tuple(hour)) == 0.36
-    assert drift(((hour[0][0] - 60.0, 99.0), *hour)) == 0.36
-    assert drift(tuple(hour[:6])) is None
-    assert drift(tuple(hour[:7])) == 0.36
+    assert drift_k_per_h(tuple(hour)) == 0.36
+    assert drift_k_per_h(((hour[0][0] - 60.0, 99.0), *hour)) == 0.36
+    assert drift_k_per_h(tuple(hour[:6])) is None
+    assert drift_k_per_h(tuple(hour[:7])) == 0.36

@@ -11,14 +11,14 @@ from rotcal_ros.foundation.observations import place_in_words
 from rotcal_ros.page.state import (
     Curve,
     Deviations,
-    HeardPlanner,
+    OrderedStep,
     PageMark,
+    PlannerStatus,
     PlanView,
-    Pointing,
     RejectedAttempt,
     ShownUncertainty,
     StepProgress,
-    now,
+    current_activity,
 )
 
 pytest.importorskip("playwright.sync_api")
@@ -29,10 +29,12 @@ HERE = NodeState(State.CALIBRATING)
 PLACE = place_in_words(5, 34)
 # What a policy reports in its 67th step of 105 expected ones; the plan holds 2344 pairs.
 MEASURING = {
-    "now": now(HeardPlanner(HERE, calibrating=True, doing=Why.MEASURING, activity=PLACE)),
+    "now": current_activity(
+        PlannerStatus(HERE, calibrating=True, doing=Why.MEASURING, activity=PLACE)
+    ),
     "steps": StepProgress(step=66, total=105, accepted=64, rejected=6, left=39, end_s=None),
     "view": PlanView((0.0, 30.0, 60.0), ((0.5, 0.0), (0.0, 0.5)), ((0.1, 0.1),)),
-    "pointing": Pointing(PLACE, 150.0, (0.5, 0.0), (0.1, 0.1), (0.0, 30.0)),
+    "pointing": OrderedStep(PLACE, 150.0, (0.5, 0.0), (0.1, 0.1), (0.0, 30.0)),
     "rejections": (RejectedAttempt(1.7e9, place_in_words(2, 21, 1), "beam broken"),),
     "standing": ShownUncertainty(
         largest_arcsec=0.96, rms_arcsec=0.6, goal_arcsec=0.79, course=((10.0, 1.5), (64.0, 0.96))
@@ -48,7 +50,7 @@ MARKS = (
     ),
 )
 DONE = MEASURING | {
-    "now": now(HeardPlanner(HERE, ended=True, verdict="ok")),
+    "now": current_activity(PlannerStatus(HERE, ended=True, verdict="ok")),
     "deviations": Deviations((0.0, 180.0), (CURVE,), 104, True, MARKS, ()),
 }
 

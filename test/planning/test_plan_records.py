@@ -8,7 +8,12 @@ import pytest
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind, Turn
 from rotcal_ros.planning.plan import Pause, Plan, Step
-from rotcal_ros.planning.table_angles import TableAngleSettings, Visit, table_angles, visits
+from rotcal_ros.planning.table_angles import (
+    Arrival,
+    TableAngleSettings,
+    planned_arrivals,
+    table_angles,
+)
 
 STEP = Step(
     index=1,
@@ -100,12 +105,12 @@ def test_a_plan_without_steps_or_with_wrong_ones_is_refused():
 
 def test_arrivals_of_two_runs_from_both_sides():
     up, down = Approach.POSITIVE, Approach.NEGATIVE
-    assert visits(2, 2, True) == tuple(
-        Visit(target, run, side)
+    assert planned_arrivals(2, 2, True) == tuple(
+        Arrival(target, run, side)
         for run in (0, 1)
         for target, side in ((0, up), (1, up), (1, down), (0, down))
     )
-    assert visits(3, 1, False) == tuple(Visit(target, 0, up) for target in range(3))
+    assert planned_arrivals(3, 1, False) == tuple(Arrival(target, 0, up) for target in range(3))
 
 
 def test_table_angles_in_radians():

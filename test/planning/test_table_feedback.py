@@ -4,7 +4,7 @@ from math import pi
 
 import pytest
 
-from rotcal_ros.planning.table_feedback import TableSpeed, in_degrees
+from rotcal_ros.planning.table_feedback import TableSpeed, looks_like_degrees
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from rotcal_ros.planning.table_feedback import TableSpeed, in_degrees
     ],
 )
 def test_a_feedback_in_degrees_is_known_by_its_size(angle, commanded, told):
-    assert in_degrees(angle, commanded) is told
+    assert looks_like_degrees(angle, commanded) is told
 
 
 def test_a_speed_is_that_of_the_span():

@@ -7,7 +7,7 @@ import numpy as np
 
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.tracer.method import problem
-from rotcal_ros.planning.readings import time_order
+from rotcal_ros.planning.readings import time_ranks
 
 PAPER = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 
@@ -26,8 +26,8 @@ def test_runs_come_first_then_the_clock_then_the_plan():
         stamped(steps[8], 1, 0),
         stamped(steps[7], 1, 0),
     ]
-    assert time_order(seen).tolist() == [4, 0, 1, 3, 2]
-    assert time_order([]).tolist() == []
+    assert time_ranks(seen).tolist() == [4, 0, 1, 3, 2]
+    assert time_ranks([]).tolist() == []
 
 
 def test_a_slip_between_two_sweeps_is_seen_in_the_order_of_measuring():

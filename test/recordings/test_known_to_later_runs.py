@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.observations import Observation, PointKind
-from rotcal_ros.recordings.replay import known_to_later_runs
+from rotcal_ros.recordings.replay import keep_known_to_later_runs
 
 OBSERVED = Observation(
     step=0, attempt=0, table_position=0, table_angle=0.1, target=0, station=0,
@@ -25,12 +25,12 @@ LATER = replace(OBSERVED, step=1, run=1, attempt=1_000_000)
 
 def test_what_no_run_of_the_nodes_has_known_does_not_count():
     scans = [noted(number=0), noted(number=1, earlier=names.RECORDED)]
-    assert known_to_later_runs([FIRST, UNREPORTED, LATER], [FIRST], scans) == (FIRST, LATER)
+    assert keep_known_to_later_runs([FIRST, UNREPORTED, LATER], [FIRST], scans) == (FIRST, LATER)
 
 
 def test_a_resumed_run_went_on_from_the_streams_and_all_of_them_count():
     scans = [noted(number=0), noted(number=1)]
-    assert known_to_later_runs([FIRST, UNREPORTED, LATER], [FIRST], scans) == (
+    assert keep_known_to_later_runs([FIRST, UNREPORTED, LATER], [FIRST], scans) == (
         FIRST,
         UNREPORTED,
         LATER,
@@ -38,9 +38,9 @@ def test_a_resumed_run_went_on_from_the_streams_and_all_of_them_count():
 
 
 def test_a_bag_of_another_recorder_notes_no_runs():
-    assert known_to_later_runs([FIRST], [], [SimpleNamespace(metadata={})]) == (FIRST,)
+    assert keep_known_to_later_runs([FIRST], [], [SimpleNamespace(metadata={})]) == (FIRST,)
 
 
 def test_a_number_that_no_recorder_writes_is_no_run():
     scans = [noted(number="9" * 5000, earlier=names.RECORDED)]
-    assert known_to_later_runs([FIRST, UNREPORTED], [FIRST], scans) == (FIRST, UNREPORTED)
+    assert keep_known_to_later_runs([FIRST, UNREPORTED], [FIRST], scans) == (FIRST, UNREPORTED)

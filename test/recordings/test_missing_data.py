@@ -16,7 +16,7 @@ from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import LengthStatus
-from rotcal_ros.recordings.missing_data import Window, placed, sentences
+from rotcal_ros.recordings.missing_data import ObservationWindow, describe_dropouts, match_dropouts
 from rotcal_ros.recordings.replay import Recording, read_recording
 from rotcal_ros.recordings.topics import Topics
 
@@ -128,7 +128,7 @@ SECOND = 10**9
 def windows(*accepted):
     """Return windows of half a second, one beginning at each second."""
     return [
-        Window(step, step * SECOND, step * SECOND + SECOND // 2)
+        ObservationWindow(step, step * SECOND, step * SECOND + SECOND // 2)
         for step, good in enumerate(accepted)
         if good
     ]
@@ -149,20 +149,20 @@ def file(*spans):
      ((2.1, 2.2), ())],
 )  # fmt: skip
 def test_the_steps_are_those_of_accepted_windows(span, steps):
-    (found,) = placed([file(span)], windows(True, True, False, True))
+    (found,) = match_dropouts([file(span)], windows(True, True, False, True))
     assert found.steps == steps
     assert found.to_dict()["steps"] == list(steps)
 
 
 def test_dropouts_of_all_files_come_in_the_order_of_time():
-    found = placed([file((3.0, 3.1)), file((1.0, 1.1), (2.0, 2.1))], ())
+    found = match_dropouts([file((3.0, 3.1)), file((1.0, 1.1), (2.0, 2.1))], ())
     assert [f.dropout.from_ns // SECOND for f in found] == [1, 2, 3]
 
 
 def test_words_name_few_steps_and_say_how_many_dropouts_there_are():
-    everything = placed([file((0, 99))], windows(*[True] * 7))
-    assert sentences(everything)[0].endswith(f"{GAP}; steps 0 to 6, 7 in all")
-    (one,) = sentences(placed([file((2.0, 2.1))], windows(*[True] * 7)))
+    everything = match_dropouts([file((0, 99))], windows(*[True] * 7))
+    assert describe_dropouts(everything)[0].endswith(f"{GAP}; steps 0 to 6, 7 in all")
+    (one,) = describe_dropouts(match_dropouts([file((2.0, 2.1))], windows(*[True] * 7)))
     assert one.endswith("; step 2")
-    many = placed([file(*((n, n) for n in range(25)))], ())
-    assert sentences(many)[-1] == "and 5 more dropouts"
+    many = match_dropouts([file(*((n, n) for n in range(25)))], ())
+    assert describe_dropouts(many)[-1] == "and 5 more dropouts"

@@ -12,7 +12,7 @@ from rearranged import Kept, by_topic, run_messages, write_mcap, write_sqlite
 
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.nodes.player.replayed_bag import ReplayedBag
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 from rotcal_ros.recordings.replay import read_recording
 
 FIRST = START_NS + 2_000_000
@@ -65,7 +65,10 @@ def test_the_cell_with_a_plan_is_meant(attached, order, expected, tmp_path):
     messages = order(ours(), robot(500))
     path = write_mcap(tmp_path / "a.mcap", messages, configuration=attached)
     assert read_recording(path).observations == expected
-    assert Input(path, changes=("solver.max_rejected_share=0.3",)).read().observations == expected
+    assert (
+        MeasurementInput(path, changes=("solver.max_rejected_share=0.3",)).read().observations
+        == expected
+    )
 
 
 @pytest.mark.slow
@@ -94,7 +97,7 @@ def test_two_cells_with_a_plan_must_be_told_apart(expected, tmp_path):
     path = write_mcap(tmp_path / "a.mcap", mixed(ours(), other))
     with pytest.raises(BagError, match="say which cell is meant"):
         read_recording(path)
-    assert Input(path, namespace="/second").read().observations == expected
+    assert MeasurementInput(path, namespace="/second").read().observations == expected
 
 
 def test_what_is_replayed_is_the_cell_as_well(tmp_path):

@@ -13,7 +13,7 @@ from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
 from rotcal_ros.methods.continuation import continued
 from rotcal_ros.planning.choices import StepOutcome
-from rotcal_ros.recordings.recorded_setup import RecordedChoice, differences
+from rotcal_ros.recordings.recorded_setup import RecordedChoice, policy_differences
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SHORT = (
@@ -76,7 +76,7 @@ def test_the_policy_makes_the_choices_of_the_bag_again(cell):
     assert choices[-1].choice.reason.startswith("goal reached")
     assert "failed in every attempt" in choices[3].choice.reason
     assert len(choices) < len(posed.plan.steps)
-    assert differences(posed, choices, observed) == ()
+    assert policy_differences(posed, choices, observed) == ()
 
 
 def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
@@ -88,7 +88,7 @@ def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
     more, further = run_of(posed, seen, rest)
     assert more[0].choice.reason == "completed step, measured again to join the runs"
     assert more[-1].choice.step is None
-    assert differences(posed, [*choices, *more], [*observed, *further]) == ()
+    assert policy_differences(posed, [*choices, *more], [*observed, *further]) == ()
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_a_run_interrupted_at_any_step_ends_as_if_it_had_not_been(zero):
         end = more[-1].choice
         assert end.reason.startswith("goal reached: U "), most
         assert end.standing.uncertainty <= goal
-        assert differences(posed, [*choices, *more], [*observed, *further]) == ()
+        assert policy_differences(posed, [*choices, *more], [*observed, *further]) == ()
         done = {o.step for o in observed if o.accepted}
         joined = {o.step for o in further if o.step in done}
         assert len(joined) == (min(8, len(done)) if len(more) > 1 else 0), most
@@ -123,7 +123,7 @@ def test_another_observation_leads_to_another_choice(cell):
     choices, observed = run_of(posed, seen, posed.from_the_start())
     wrong = choices[10].choice.step  # whichever length is the first suspect then
     other = [replace(o, mean=(o.mean[0] + 2e-5,)) if o.step == wrong else o for o in observed]
-    (text,) = differences(posed, choices, other)
+    (text,) = policy_differences(posed, choices, other)
     assert text.startswith("run 0, choice ")
     assert "from the recorded observations the policy chooses step" in text
     noise = [float(number) for number in re.findall(r"noise ([\d.]+) times", text)]
@@ -133,7 +133,7 @@ def test_another_observation_leads_to_another_choice(cell):
 def test_a_choice_that_is_missing_is_named(cell):
     posed, seen = cell
     choices, observed = run_of(posed, seen, posed.from_the_start())
-    (text,) = differences(posed, choices[:5] + choices[6:], observed)
+    (text,) = policy_differences(posed, choices[:5] + choices[6:], observed)
     assert text.startswith("run 0, choice 5: ")
 
 
@@ -141,7 +141,7 @@ def test_a_list_needs_no_asking(cell):
     posed, seen = cell
     listed = calibration("planner.policy=as_listed")
     choices, observed = run_of(posed, seen, posed.from_the_start())
-    assert differences(listed, choices[3:], observed) == ()
+    assert policy_differences(listed, choices[3:], observed) == ()
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import LengthStatus, Observation, TracerSample
 from rotcal_ros.methods.configuration import parse_configuration, read_configuration, read_policy
 from rotcal_ros.recordings.replay import CAPTURED_OTHERWISE, read_recording
-from rotcal_ros.recordings.summary import describe
+from rotcal_ros.recordings.summary import summarise_bag
 from rotcal_ros.recordings.topics import Topics
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -338,7 +338,7 @@ def test_two_configurations_that_differ_are_refused_unless_one_is_given(
     assert "window_samples: 30" in str(refused.value)
     assert "--setup" in str(refused.value)
     if where == "one attachment twice":  # a summary reads no messages
-        told = describe(path)
+        told = summarise_bag(path)
         assert told.contradiction == str(refused.value)
         assert told.to_dict()["method"] is None
     given = parse_configuration(CONFIGURATION)

@@ -25,8 +25,8 @@ from rotcal_ros.foundation.settings import check_ros_name
 from rotcal_ros.methods.figures import style
 from rotcal_ros.page import app
 from rotcal_ros.recordings.result_sources import ResultSource
-from rotcal_ros.report.page import write_result
-from rotcal_ros.report.terminal.columns import Column, Titled, print_tables, print_words
+from rotcal_ros.report.page import report_result
+from rotcal_ros.report.terminal.columns import Column, TitledTable, print_tables, print_words
 from rotcal_ros.report.terminal.console import say, tell
 
 DATA = Path(__file__).parents[2] / "examples" / "data"
@@ -75,7 +75,7 @@ def named(name):
 @pytest.mark.parametrize("name", [ALL], ids=["all"])
 def test_the_report_shows_it_escaped(tmp_path, name):
     page = tmp_path / "report.html"
-    write_result(ResultSource(named(name), {name: "0" * 64}), page)
+    report_result(ResultSource(named(name), {name: "0" * 64}), page)
     text = page.read_bytes().decode("utf-8")
     assert not unseen(text)
     assert "<b>&amp;</b>" not in text
@@ -119,7 +119,7 @@ def test_a_figure_draws_it_as_it_is(kind):
 
 @every_name
 def test_a_terminal_is_not_commanded(capsys, monkeypatch, name):
-    table = Titled([Column("name", [name]), Column(name, [name])], name, name)
+    table = TitledTable([Column("name", [name]), Column(name, [name])], name, name)
     for at_terminal in (False, True):
         monkeypatch.setattr(sys.stdout, "isatty", lambda at=at_terminal: at)
         print_tables([table], "key")
@@ -136,7 +136,7 @@ def test_a_terminal_is_not_commanded(capsys, monkeypatch, name):
 
 def test_a_cell_is_no_formula_of_a_spreadsheet(capsys):
     print_tables(
-        [Titled([Column("name", list(NAMES.values())), Column("x/m", [-1.5] * len(NAMES))])]
+        [TitledTable([Column("name", list(NAMES.values())), Column("x/m", [-1.5] * len(NAMES))])]
     )
     cells = list(csv.reader(io.StringIO(capsys.readouterr().out)))
     assert all(not re.match(r"[=+@\t\r-]", row[0]) for row in cells)

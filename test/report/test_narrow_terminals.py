@@ -19,7 +19,7 @@ import pytest
 
 from rotcal_ros.evaluation.monte_carlo import PropagatedResult, Propagation
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.report.terminal.columns import Column, stacked
+from rotcal_ros.report.terminal.columns import Column, split_columns
 from rotcal_ros.report.terminal.tables import print_result, print_uncertainty
 
 DATA = Path(__file__).parents[2] / "examples" / "data"
@@ -149,10 +149,10 @@ def test_u_of_trials_is_withheld_where_the_verdict_on_the_data_withholds_it(verd
 def test_columns_are_stacked_with_the_first_one_in_each_group():
     columns = [Column(name, [1.0], ".3f") for name in ("angle", "a", "b", "c")]
     # one of 5 characters in 8, of 5 in 8, and a border: 17, and 25 with one more
-    assert [[c.heading for c in group] for group in stacked(columns, 24)] == [
+    assert [[c.heading for c in group] for group in split_columns(columns, 24)] == [
         ["angle", "a"], ["angle", "b"], ["angle", "c"]
     ]  # fmt: skip
-    assert [[c.heading for c in group] for group in stacked(columns, 25)] == [
+    assert [[c.heading for c in group] for group in split_columns(columns, 25)] == [
         ["angle", "a", "b"], ["angle", "c"]
     ]  # fmt: skip
 

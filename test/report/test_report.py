@@ -9,7 +9,7 @@ from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Rejection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.goal import GoalStanding
-from rotcal_ros.planning.plan import Compared, PlanFigures
+from rotcal_ros.planning.plan import PlanComparison, PlanFigures
 from rotcal_ros.report.page import ReportInput, render_report
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -63,7 +63,7 @@ def test_a_goal_is_shown_beside_the_papers_plan():
     papers = PlanFigures(704, 0.79 * ARCSEC, 10545.0, 225.4)
     reason = "goal reached: U 0.7 <= 0.8"
     standing = GoalStanding(
-        0.8 * ARCSEC, 0.7 * ARCSEC, 67, 2149, reason, Compared(own, papers, 1.03e-7)
+        0.8 * ARCSEC, 0.7 * ARCSEC, 67, 2149, reason, PlanComparison(own, papers, 1.03e-7)
     )
     page = render_report(replace(REPORT, goal=standing))
     shown = re.sub(r"<[^>]*>", " ", page)

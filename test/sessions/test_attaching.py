@@ -15,7 +15,13 @@ from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.sessions import attaching as module
-from rotcal_ros.sessions.attaching import Attachment, History, Viewers, running_sessions, watch
+from rotcal_ros.sessions.attaching import (
+    Attachment,
+    EventHistory,
+    Viewers,
+    running_sessions,
+    watch_session,
+)
 
 DEADLINE_S = 30.0
 PAUSED = {"event": "paused", "instruction": "put the tracker there", "doing": Why.WORK}
@@ -58,7 +64,7 @@ def order_of(viewers):
 
 
 def test_who_comes_late_hears_how_it_stands():
-    history = History()
+    history = EventHistory()
     history.remember({"event": "session", "at_once": False})
     page = {"event": "page", "text": "page: http://127.0.0.1:8000"}
     for event in (page, feedback(1), feedback(2, Why.WORK), PAUSED, {"event": "alive"}):
@@ -159,14 +165,14 @@ def test_the_running_sessions_below_a_folder_are_found_and_killed_ones_told(sess
     session.folder.socket_file.write_text(json.dumps({"socket": str(stale)}))
     assert running_sessions(tmp_path / "out") == []
     with pytest.raises(ConfigurationError, match="was interrupted; resume with: rotcal run"):
-        watch(session.folder)
+        watch_session(session.folder)
 
 
 def test_a_session_that_still_writes_is_not_called_interrupted(session):
     lock = FolderLock(session.folder.path)
     try:
         with pytest.raises(ConfigurationError, match="still writes in"):
-            watch(session.folder)
+            watch_session(session.folder)
     finally:
         lock.release()
 
@@ -180,17 +186,17 @@ def test_a_socket_does_not_lie_where_the_last_login_takes_it_away(session, tmp_p
 
 def test_what_cannot_be_attached_to_is_told_with_its_reason(session):
     with pytest.raises(ConfigurationError, match="no calibration runs in"):
-        watch(session.folder)
+        watch_session(session.folder)
     session.folder.socket_file.write_text("{}")
     with pytest.raises(ConfigurationError, match="names no socket"):
-        watch(session.folder)
+        watch_session(session.folder)
     session.folder.socket_file.unlink()
     session.folder.result.write_text("{}")
     with pytest.raises(ConfigurationError, match=r"is finished, see .*result\.json"):
-        watch(session.folder)
+        watch_session(session.folder)
     session.folder.configuration.unlink()
     with pytest.raises(ConfigurationError, match="holds no calibration"):
-        watch(session.folder)
+        watch_session(session.folder)
 
 
 def test_a_session_that_lets_go_without_a_word_is_told_as_dead(session, tmp_path):
@@ -201,4 +207,4 @@ def test_a_session_that_lets_go_without_a_word_is_told_as_dead(session, tmp_path
         session.folder.socket_file.write_text(json.dumps({"socket": str(address)}))
         Thread(target=lambda: server.accept()[0].close(), daemon=True).start()
         with pytest.raises(DataError, match="was killed"):
-            watch(session.folder)
+            watch_session(session.folder)

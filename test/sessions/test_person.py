@@ -8,7 +8,7 @@ import pytest
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.sessions import person as module
-from rotcal_ros.sessions.person import Person
+from rotcal_ros.sessions.person import SessionOperator
 
 PAUSED = {"event": "paused", "instruction": "put the tracker there", "doing": Why.WORK}
 WAITING = {"event": "feedback", "doing": Why.WORK}
@@ -32,7 +32,7 @@ def enter(monkeypatch):
 def make(*, simulated=False, yes=False, watching=False, person=True):
     simulation = {"simulation": {} if person else {"person": False}} if simulated else {}
     groups = {"cell": {"namespace": "/north"}} | simulation
-    return Person(
+    return SessionOperator(
         parse_configuration(dump_configuration("plane_mirror", groups)), yes, watching=watching
     )
 

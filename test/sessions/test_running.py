@@ -10,7 +10,7 @@ from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.sessions import running
-from rotcal_ros.sessions.person import Person
+from rotcal_ros.sessions.person import SessionOperator
 from rotcal_ros.sessions.running import _follow, _result_of_cancelling
 
 STARTED = {"event": "started"}
@@ -66,7 +66,7 @@ def feedback(step, total=20):
 
 
 def follow(nodes, at_once=False, viewers=None):
-    person = Person(parse_configuration(dump_configuration("plane_mirror", {})), at_once)
+    person = SessionOperator(parse_configuration(dump_configuration("plane_mirror", {})), at_once)
     return _follow(nodes, person, viewers or Viewers())
 
 

@@ -9,9 +9,9 @@ from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.sessions.person import describe
+from rotcal_ros.sessions.person import describe_feedback
 from rotcal_ros.sessions.processes import node_environment
-from rotcal_ros.sessions.session import expected_bytes, free_name, prepare_session
+from rotcal_ros.sessions.session import expected_bytes, free_folder_name, prepare_session
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 
@@ -70,7 +70,7 @@ def test_an_existing_folder_is_never_touched(tmp_path):
     prepare_session(DEMO, tmp_path / "out", [], keep_previous=True)
     assert (tmp_path / "out-1" / "old").read_text() == "old"
     assert not (tmp_path / "out" / "old").exists()
-    assert free_name(tmp_path / "out") == tmp_path / "out-2"
+    assert free_folder_name(tmp_path / "out") == tmp_path / "out-2"
 
 
 def test_what_a_run_left_before_anything_was_recorded_is_taken_again(tmp_path):
@@ -137,14 +137,16 @@ def test_the_users_domain_stays(monkeypatch):
 def test_feedback_in_words():
     feedback = {"activity": "solving", "doing": Why.SOLVING, "current_std_rad": None,
                 "time_left_s": None}  # fmt: skip
-    assert describe(feedback) == "solving"
-    assert describe(feedback | {"doing": Why.WORK}) == "waiting for a person"
-    assert describe(feedback | {"doing": Why.RELEASED}) == "stopped by an emergency stop"
+    assert describe_feedback(feedback) == "solving"
+    assert describe_feedback(feedback | {"doing": Why.WORK}) == "waiting for a person"
+    assert describe_feedback(feedback | {"doing": Why.RELEASED}) == "stopped by an emergency stop"
     feedback = {"activity": "target 3", "doing": Why.MEASURING, "current_std_rad": 4.8481368e-6,
                 "time_left_s": 12.3}  # fmt: skip
-    assert describe(feedback) == "target 3, U (k = 2) at most 2.0 arcsec, 12 s left"
+    assert describe_feedback(feedback) == "target 3, U (k = 2) at most 2.0 arcsec, 12 s left"
     feedback |= {"goal_rad": 9.6962736e-6, "uncertainty_rad": None}
     words = "target 3, goal: rms of U 2.00 arcsec, known once all stations are placed, 12 s left"
-    assert describe(feedback) == words
+    assert describe_feedback(feedback) == words
     feedback["uncertainty_rad"] = 1.45444104e-5
-    assert describe(feedback) == "target 3, goal: rms of U 2.00 arcsec, now 3.00, 12 s left"
+    assert (
+        describe_feedback(feedback) == "target 3, goal: rms of U 2.00 arcsec, now 3.00, 12 s left"
+    )

@@ -11,7 +11,7 @@ import bag_samples
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.folder_lock import FolderLock
-from rotcal_ros.sessions.running import calibrate, running
+from rotcal_ros.sessions.running import calibrate, run_processes
 from rotcal_ros.sessions.session import resume_session
 
 VIEWERS = SimpleNamespace(say=lambda _text: None)
@@ -50,7 +50,7 @@ def test_the_second_one_starts_no_node_when_the_first_one_has_recorded(folder):
     second = resumed(folder)
     (folder / "bag" / "out_1.mcap").write_bytes(b"")  # a run went on, and was interrupted again
     (folder / "bag" / "out_0.mcap").write_bytes((folder / "bag" / "bag_0.mcap").read_bytes())
-    with pytest.raises(ConfigurationError, match="another run went on"), running(second):
+    with pytest.raises(ConfigurationError, match="another run went on"), run_processes(second):
         raise AssertionError
     FolderLock(folder).release()
 

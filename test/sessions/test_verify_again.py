@@ -73,8 +73,10 @@ def rounds(monkeypatch):
 def test_the_second_round_is_not_worse_than_the_first(tmp_path, rounds, more):
     folder = tmp_path / "out"
     changes = (*QUIET, *more)
-    verification.begin(DEMO, folder, changes, verification.Request(again=True))
-    found, _ = verification.verify(folder)
+    verification.begin_verification(
+        DEMO, folder, changes, verification.VerificationRequest(again=True)
+    )
+    found, _ = verification.run_verification(folder)
     assert list(rounds) == ["out", "after", "again"]
     assert [made.simulation.run for made in rounds.values()] == [0, 1, 2]  # noise of its own
     assert found.verdict == "ok"
@@ -157,22 +159,22 @@ def real(tmp_path, monkeypatch):
 
 def begun(real, **request):
     folder = real.root / "out"
-    asked = verification.Request(controllers=("linuxcnc",), **request)
-    verification.begin(real.configuration, folder, QUIET[1:], asked)
+    asked = verification.VerificationRequest(controllers=("linuxcnc",), **request)
+    verification.begin_verification(real.configuration, folder, QUIET[1:], asked)
     return folder
 
 
 def test_a_real_cell_is_measured_again_once_a_person_has_loaded_the_table(real):
     folder = begun(real)
     asked = []
-    assert verification.verify(folder, lambda _, files: asked.append(files)) is None
+    assert verification.run_verification(folder, lambda _, files: asked.append(files)) is None
     assert list(real.rounds) == ["out"]  # nothing is measured before the word
-    assert verification.verify(folder) is None
+    assert verification.run_verification(folder) is None
     assert [path.name for path in asked[0]] == ["c_linuxcnc.comp", "c_linuxcnc.ini"]
     assert all(path.is_file() for path in asked[0])
     real.load(asked[0])
     verification.confirm_loaded(folder)
-    found, written = verification.verify(folder)
+    found, written = verification.run_verification(folder)
     assert written == ("linuxcnc",)
     assert found.verdict == "ok"
     assert not found.simulated
@@ -197,7 +199,7 @@ def test_a_table_that_a_control_uses_wrongly_is_named_and_not_added_to(real, gai
         real.load(files, gain)
         return True
 
-    found, _ = verification.verify(folder, loaded)
+    found, _ = verification.run_verification(folder, loaded)
     assert list(real.rounds) == ["out", "after"]
     assert found.verdict == "failed"
     assert abs(found.effect.factor - factor) < 4.0 * found.effect.std + 0.01
@@ -211,25 +213,27 @@ def test_a_table_that_a_control_uses_wrongly_is_named_and_not_added_to(real, gai
 @pytest.mark.slow
 def test_the_word_counts_once_for_each_table(real):
     folder = begun(real, again=True)
-    assert verification.verify(folder) is None
+    assert verification.run_verification(folder) is None
     real.load(sorted((folder / "compensation").iterdir()))
     verification.confirm_loaded(folder)
-    assert verification.verify(folder) is None  # the sum waits for a word of its own
+    assert verification.run_verification(folder) is None  # the sum waits for a word of its own
     assert list(real.rounds) == ["out", "after"]
     real.load(sorted((folder / "compensation_added").iterdir()))
     verification.confirm_loaded(folder)
-    found, _ = verification.verify(folder)
+    found, _ = verification.run_verification(folder)
     assert found.verdict == "ok"
     assert found.again.systematic <= found.after.systematic + 4 * np.max(found.again.std)
 
 
 def test_a_real_cell_has_to_say_what_is_in_force_and_who_takes_the_table(real):
     with pytest.raises(ConfigurationError, match="Name it: --to linuxcnc"):
-        verification.begin(real.configuration, real.root / "a", QUIET[1:], verification.Request())
+        verification.begin_verification(
+            real.configuration, real.root / "a", QUIET[1:], verification.VerificationRequest()
+        )
     unknown = (*QUIET[1:], "cell.table_in_force=unknown")
-    request = verification.Request(controllers=("linuxcnc",))
+    request = verification.VerificationRequest(controllers=("linuxcnc",))
     with pytest.raises(ConfigurationError, match="begins with no table in force"):
-        verification.begin(real.configuration, real.root / "a", unknown, request)
+        verification.begin_verification(real.configuration, real.root / "a", unknown, request)
     assert not (real.root / "a").exists()
     folder = begun(real)
     with pytest.raises(ConfigurationError, match="no table waiting"):

@@ -35,7 +35,7 @@ STEPS: Final = 20
 
 
 @dataclass(frozen=True, eq=False)
-class LookUp:
+class EncoderLookUp:
     """What firmware takes off a reading: ``taken`` (n,) rad at ``readings`` (n,) rad, ascending.
 
     ``sense`` is -1 for an encoder that counts against the table, ``zero`` (rad) its reading where
@@ -150,7 +150,7 @@ class EncoderLut(Controller):
         text = f"{kind} {NAMES[self.form]}[{len(cells)}] = {{\n" + ",\n".join(rows) + "\n};\n"
         return {f"{stem}.h": text}
 
-    def read(self, files: Mapping[str, str]) -> LookUp:
+    def read(self, files: Mapping[str, str]) -> EncoderLookUp:
         """Read the array back; BagError unless it has all values."""
         name, text = only_file(files, ".h")
         body = re.sub(r"^//.*\n", "", text, flags=re.MULTILINE)
@@ -172,7 +172,7 @@ class EncoderLut(Controller):
         taken = np.asarray((values - self._middle) * self._step, dtype=np.float64)
         if self.form == SERVO:
             readings, taken = taken, (taken - readings + np.pi) % TURN - np.pi
-        return LookUp(readings, taken, self._sense, self.zero_deg * DEGREE)
+        return EncoderLookUp(readings, taken, self._sense, self.zero_deg * DEGREE)
 
     def resolution(self, table: CompensationTable) -> float:
         """Return the step of a value, in rad."""

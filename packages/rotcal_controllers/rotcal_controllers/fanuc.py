@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_controllers.machine_files import PunchedParameters, require_as_measured
+from rotcal_controllers.machine_files import PunchedParameters, backlash_note
 from rotcal_ros.compensation.controller import Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
@@ -180,7 +180,7 @@ class Fanuc(Controller):
                 f"directions: {self.directions}: set the bit to {not both:d} and punch the "
                 "parameters again"
             )
-        notes = [require_as_measured(
+        notes = [backlash_note(
             f"1851 of axis {axis}", found.number(1851, axis), self.backlash_units,
             "detection units",
         )]  # fmt: skip

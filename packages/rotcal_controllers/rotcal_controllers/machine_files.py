@@ -32,7 +32,7 @@ def machine_text(path: str) -> str:
         return read_bytes(Path(path)).decode("latin-1")
 
 
-def finite(path: str, name: str, text: str) -> float:
+def parse_finite(path: str, name: str, text: str) -> float:
     """Return the number that ``text`` is; ConfigurationError for any other text."""
     try:
         number = float(text)
@@ -43,7 +43,7 @@ def finite(path: str, name: str, text: str) -> float:
     return number
 
 
-def require_as_measured(name: str, now: float | None, measured: float | None, unit: str) -> str:
+def backlash_note(name: str, now: float | None, measured: float | None, unit: str) -> str:
     """Return what is to be known of a backlash that acts beside the table; empty if nothing.
 
     ``now`` is the value in the machine's file, None if it is not there; ``measured`` what a person
@@ -102,7 +102,7 @@ class MachineData:
     def number(self, name: str, index: str) -> float | None:
         """Return a number; None where the file does not state it."""
         text = self.values.get((name, index))
-        return None if text is None else finite(self.path, f"${name}[{index}]", text)
+        return None if text is None else parse_finite(self.path, f"${name}[{index}]", text)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class PunchedParameters:
     def number(self, parameter: int, axis: int) -> float | None:
         """Return the value for an axis; None where the file does not state it."""
         text = self.values.get((parameter, axis))
-        return None if text is None else finite(self.path, f"N{parameter:05d}A{axis}", text)
+        return None if text is None else parse_finite(self.path, f"N{parameter:05d}A{axis}", text)
 
     def bit(self, parameter: int, axis: int, bit: int) -> bool | None:
         """Return a bit, counted from the right; None where eight of them do not stand there."""

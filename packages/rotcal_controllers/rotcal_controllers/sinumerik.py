@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_controllers.machine_files import MachineData, require_as_measured
+from rotcal_controllers.machine_files import MachineData, backlash_note
 from rotcal_ros.compensation.axis_location import rounded_lengths
 from rotcal_ros.compensation.controller import Comment, Controller, Facts, Located, OwnSetting
 from rotcal_ros.compensation.controller_files import (
@@ -197,7 +197,7 @@ class Sinumerik(Controller):
             self._require_cec(data, axis, table)
         backlash = data.number("MA_BACKLASH", f"{system},{axis}")
         name = f"MD32450 BACKLASH[{system}] of {axis}"
-        return require_as_measured(name, backlash, self.backlash_deg, "deg")
+        return backlash_note(name, backlash, self.backlash_deg, "deg")
 
     def _require_cec(self, data: MachineData, axis: str, table: CompensationTable) -> None:
         """Raise ConfigurationError for weights and limits that would change the tables."""

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_controllers import isg_volumetric
-from rotcal_controllers.machine_files import finite, machine_text
+from rotcal_controllers.machine_files import machine_text, parse_finite
 from rotcal_ros.compensation.controller import (
     Comment,
     ComponentErrors,
@@ -123,7 +123,7 @@ class TwinCat(Controller):
                 f"{self.machine_file}: expected lines getriebe[0].lose and "
                 "lr_param.anwahl_losekomp; add them, or state backlash_deg"
             )
-        found = finite(self.machine_file, "getriebe[0].lose", lost[1]) * UNIT_DEG
+        found = parse_finite(self.machine_file, "getriebe[0].lose", lost[1]) * UNIT_DEG
         if found < 0.0:
             raise ConfigurationError(
                 f"{self.machine_file}: getriebe[0].lose is negative, a backlash between drive and "

@@ -74,7 +74,7 @@ def _as_usual(_positions: int) -> Iterator[Changes]:
 
 
 @dataclass(frozen=True)
-class Route:
+class MeasuringRoute:
     """A ``method``, the ``settings`` that make it one of an instrument, and its efforts.
 
     ``efforts`` yields further settings for a number of table angles, the quickest first.
@@ -87,26 +87,29 @@ class Route:
 
 PLATE: Final = ("plan.plate.circle_radius_m=0.185", "plan.plate.ball_diameter_m=0.025")
 """A plate that is usual, until somebody states another."""
-OWNED: Final[Mapping[str, tuple[str, tuple[Route, ...]]]] = {
+OWNED: Final[Mapping[str, tuple[str, tuple[MeasuringRoute, ...]]]] = {
     "tracer": (
         "laser tracer, and a machine that carries its reflector",
-        (Route("tracer_multistation", _boxes), Route("tracer_six")),
+        (MeasuringRoute("tracer_multistation", _boxes), MeasuringRoute("tracer_six")),
     ),
-    "tracker": ("laser tracker and a mirror on the table", (Route("plane_mirror", _reflectors),)),
+    "tracker": (
+        "laser tracker and a mirror on the table",
+        (MeasuringRoute("plane_mirror", _reflectors),),
+    ),
     "cmm": (
         "measuring machine, with a plate of balls or balls on the table",
-        (Route("ball_plate", _plates, PLATE), Route("table_balls", _balls)),
+        (MeasuringRoute("ball_plate", _plates, PLATE), MeasuringRoute("table_balls", _balls)),
     ),
     "probe": (
         "touch probe of the machine tool, and a ball or three",
-        (Route("table_balls", _balls),),
+        (MeasuringRoute("table_balls", _balls),),
     ),
-    "ball-bar": ("ball bar", (Route("table_balls", _balls, ("plan.measure=bar",)),)),
-    "r-test": ("R-test", (Route("table_balls", _balls, ("plan.measure=displacement",)),)),
-    "polygon": ("polygon and autocollimator", (Route("angle_comparison", _shifts),)),
+    "ball-bar": ("ball bar", (MeasuringRoute("table_balls", _balls, ("plan.measure=bar",)),)),
+    "r-test": ("R-test", (MeasuringRoute("table_balls", _balls, ("plan.measure=displacement",)),)),
+    "polygon": ("polygon and autocollimator", (MeasuringRoute("angle_comparison", _shifts),)),
     "interferometer": (
         "laser interferometer with rotary indexer",
-        (Route("deviations"), Route("angle_comparison", _shifts)),
+        (MeasuringRoute("deviations"), MeasuringRoute("angle_comparison", _shifts)),
     ),
 }
 """Name -> what it is in words, and the ways that it serves."""
@@ -185,7 +188,7 @@ def _require_of_any(changes: Changes, methods: Iterable[str]) -> None:
 
 
 def _best(
-    instrument: str, way: Route, goal: Goal, machine_std: float | None, changes: Changes
+    instrument: str, way: MeasuringRoute, goal: Goal, machine_std: float | None, changes: Changes
 ) -> Advice:
     """Return the quickest effort that meets the goal, else the one that misses it least."""
     if way.method not in method_names():
@@ -210,7 +213,9 @@ def _best(
     return _refused(instrument, way, refused[0])
 
 
-def _predicted(instrument: str, way: Route, goal: Goal, known: Known, stated: Changes) -> Advice:
+def _predicted(
+    instrument: str, way: MeasuringRoute, goal: Goal, known: Known, stated: Changes
+) -> Advice:
     """Return what a set-up with the settings ``stated`` would give; raises what refuses it."""
     given = dict(given_value(way.method, known, change) for change in stated)
     values = {**values_of_tables(way.method), **full_turn_settings(known, goal.positions), **given}
@@ -254,7 +259,7 @@ def _command(method: str, positions: int, stated: Changes) -> str:
     return shlex.join([*new, "-y", "-o", f"{method}.yaml"])
 
 
-def _refused(instrument: str, way: Route, why: str) -> Advice:
+def _refused(instrument: str, way: MeasuringRoute, why: str) -> Advice:
     title = way.method
     with suppress(RotcalError):
         title = find_method(way.method).title

@@ -13,7 +13,7 @@ from rotcal_design.settings import (
     LEAST_REDUNDANCY,
     TracerDesignSettings,
 )
-from rotcal_design.tracer.candidates import candidates, scene_of
+from rotcal_design.tracer.candidates import candidates, make_scene
 from rotcal_design.tracer.check_lengths import CheckLengths, fewest_lengths
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
@@ -21,7 +21,7 @@ from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.configuration import Configuration, replaced
 from rotcal_ros.methods.tracer.plan import LEAST_ANGLES
 from rotcal_ros.methods.tracer.policy.exchange import Progress
@@ -181,7 +181,7 @@ def _offered(
         table_angles_deg=tuple((angles / DEGREE).tolist()),
         mount_m=configuration.simulation.tracer.mount_m,
     )
-    scene = scene_of(room, listed or None)
+    scene = make_scene(room, listed or None)
     seen = np.bincount(candidates(scene, room).target, minlength=len(scene.targets))
     places = np.asarray(scene.targets[seen == len(angles)], dtype=np.float64)
     if not len(places):
@@ -196,7 +196,7 @@ def _scene(configuration: Configuration, angles: Floats, offered: Floats) -> Sce
     """Return the stations at ``angles`` (m,) rad, the targets offered, and the stated noise."""
     solver = configuration.solver
     return Scene(
-        stations=on_table(configuration.simulation.tracer.mount_m, angles),
+        stations=positions_on_table(configuration.simulation.tracer.mount_m, angles),
         table_angles=angles,
         targets=offered,
         target_std=solver.target_std_m,

@@ -267,7 +267,7 @@ def turning_trade(
         if number <= len(places)
     )
     return _quickest_first(
-        map(_with_turns, _possible(configuration, variants, prepare)),
+        map(_with_turns, _possible(configuration, variants, prepare_to_measure)),
         PlanError(
             f"{configuration.source}: none of {list(targets)} targets determine the table: state "
             f"more than its {len(places)}"

@@ -15,4 +15,6 @@ from rotcal_ros.methods.tracer.policy import sequence as sequence_choice
 def few_runs(monkeypatch: pytest.MonkeyPatch, runs: int) -> None:
     """Let the promise of a plan be tested by so many runs; orders are less polished."""
     monkeypatch.setattr(sequence_choice, "TRADES", 30)
-    monkeypatch.setattr(ordering, "promised", partial(ordering.promised, looks=(runs,)))
+    monkeypatch.setattr(
+        ordering, "simulate_uncertainties", partial(ordering.simulate_uncertainties, looks=(runs,))
+    )

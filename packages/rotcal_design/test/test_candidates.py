@@ -4,25 +4,25 @@ import numpy as np
 import pytest
 
 from rotcal_design.settings import TracerDesignSettings
-from rotcal_design.tracer.candidates import candidates, crosses, lattice, scene_of
+from rotcal_design.tracer.candidates import beams_cross_box, candidates, make_scene, target_lattice
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 
 
 def pairs_of(**settings):
     wanted = TracerDesignSettings(**settings)
-    scene = scene_of(wanted)
+    scene = make_scene(wanted)
     lengths = candidates(scene, wanted)
     start, end = scene.stations[lengths.position], scene.targets[lengths.target]
     return scene, lengths, start, end - start
 
 
 def test_lattice_fills_the_volume_and_keeps_its_distance():
-    points = lattice(TracerDesignSettings(spacing_m=0.2))
+    points = target_lattice(TracerDesignSettings(spacing_m=0.2))
     assert points.min(axis=0) == pytest.approx([-0.6, -0.5, 0.17])
     assert points.max(axis=0) == pytest.approx([0.6, 0.5, 1.02])
     apart = np.linalg.norm(points - points[:, None], axis=2) + 9.0 * np.eye(len(points))
     assert apart.min() >= 0.2 - 1e-12
-    flat = lattice(TracerDesignSettings(volume_min_m=(0, 0, 1), volume_max_m=(1, 1, 1)))
+    flat = target_lattice(TracerDesignSettings(volume_min_m=(0, 0, 1), volume_max_m=(1, 1, 1)))
     assert set(flat[:, 2]) == {1.0}
 
 
@@ -50,7 +50,7 @@ def test_beams_through_a_box_against_points_along_them():
     box = np.array([[-0.3, -0.2, -0.4], [0.4, 0.5, 0.1]])
     along = start + np.linspace(0.0, 1.0, 4001)[:, None, None] * (end - start)
     expected = ((along >= box[0]) & (along <= box[1])).all(axis=2).any(axis=0)
-    found = crosses(start, end - start, box)
+    found = beams_cross_box(start, end - start, box)
     assert 60 < expected.sum() < 300
     assert (found != expected).sum() <= 1  # a corner between two points
     assert found[:50].tolist() == expected[:50].tolist()

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods import prepare_to_measure, read_configuration
 from rotcal_ros.methods.tracer.simulation import cell_time
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
@@ -67,7 +67,7 @@ def measured(folder, deviation, seed):
     plan, solver = calibration.plan, calibration.configuration.solver
     rng = np.random.default_rng(seed)
     nominal, angles = np.array(plan.targets), np.array(plan.table_angles)
-    stations = on_table((0.0569, -0.0318, 0.1225), angles + deviation)
+    stations = positions_on_table((0.0569, -0.0318, 0.1225), angles + deviation)
     position = np.array([step.table_position for step in plan.steps])
     target = np.array([step.target for step in plan.steps])
     targets = nominal + solver.target_std_m * rng.standard_normal(nominal.shape)
@@ -226,7 +226,7 @@ def test_a_volume_and_what_stands_in_it_are_those_of_a_tracer_plan():
     assert (targets[:, 0] >= -0.3).all()
     assert targets[:, 2].min() >= 0.17
     mount = read_configuration(PLAN[4]).simulation.tracer.mount_m
-    stations = on_table(mount, data["angles_rad"])
+    stations = positions_on_table(mount, data["angles_rad"])
     beam = targets - stations[:, None]  # from every angle
     distance = np.linalg.norm(beam, axis=2)
     assert distance.min() >= 0.25

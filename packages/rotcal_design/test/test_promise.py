@@ -8,12 +8,12 @@ from scipy.stats import binom
 
 from rotcal_design.tracer.ordering import (
     LOOKS,
-    Promise,
-    expanded,
-    most_missed,
-    promised,
+    SimulatedUncertainties,
+    allowed_misses,
+    expanded_about_mean,
+    simulate_uncertainties,
 )
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.policy.information import Scene
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
@@ -24,14 +24,14 @@ ANGLES = 2.0 * np.pi * np.arange(8) / 8
 
 def of(values, factor=1.1):
     values = np.asarray(values, dtype=float)
-    return Promise(values, factor * values)
+    return SimulatedUncertainties(values, factor * values)
 
 
 @pytest.mark.parametrize("confidence", [0.5, 0.8, 0.9, 0.95])
 def test_a_promise_is_kept_where_the_binomial_law_leaves_little_doubt(confidence):
     """At each of three looks a plan that misses as often as is allowed passes with 5 % / 3."""
     for runs in LOOKS:
-        most = most_missed(runs, confidence)
+        most = allowed_misses(runs, confidence)
         assert binom.cdf(most, runs, 1.0 - confidence) < 0.05 / 3
         assert binom.cdf(most + 1, runs, 1.0 - confidence) >= 0.05 / 3
         rng = np.random.default_rng(runs)
@@ -44,7 +44,7 @@ def test_a_promise_is_kept_where_the_binomial_law_leaves_little_doubt(confidence
 
 
 def test_too_few_runs_promise_nothing():
-    assert most_missed(20, 0.95) == -1
+    assert allowed_misses(20, 0.95) == -1
     assert of(np.ones(20)).below(0.95) == (np.inf, np.inf)
     assert not of(np.ones(20)).kept(0.95, 2.0)
 
@@ -65,7 +65,7 @@ def test_both_goals_are_met_by_the_same_run():
     """A tenth is too large in rms, another tenth at the worst angle."""
     rms, largest = np.ones(100), np.ones(100)
     rms[:10] = largest[90:] = 2.0
-    assert Promise(rms, largest).met(1.5, 1.5) == pytest.approx(0.8)
+    assert SimulatedUncertainties(rms, largest).met(1.5, 1.5) == pytest.approx(0.8)
 
 
 def test_u_is_about_the_mean_of_the_angles():
@@ -73,7 +73,7 @@ def test_u_is_about_the_mean_of_the_angles():
     root = rng.standard_normal((5, 5))
     drawn = root @ rng.standard_normal((5, 400_000))
     spread = 2.0 * (drawn - drawn.mean(axis=0)).std(axis=1)
-    assert expanded(root @ root.T) == pytest.approx(spread, rel=5e-3)
+    assert expanded_about_mean(root @ root.T) == pytest.approx(spread, rel=5e-3)
 
 
 def posed(**options):
@@ -84,7 +84,7 @@ def posed(**options):
         [far * np.cos(around), far * np.sin(around), fixed.uniform(0.15, 0.7, 10)]
     )
     scene = Scene(
-        on_table((0.065, 0.0, 0.12), ANGLES), ANGLES, targets, np.array(1e-6), 2e-7,
+        positions_on_table((0.065, 0.0, 0.12), ANGLES), ANGLES, targets, np.array(1e-6), 2e-7,
         error_motion_std=options.get("error_motion_std"),
         circle_std=options.get("circle_std"),
     )  # fmt: skip
@@ -98,7 +98,7 @@ def posed(**options):
 @pytest.mark.slow
 def test_a_stated_error_motion_is_held_and_none_scatters_what_is_stated():
     stated, estimated, circle = (
-        promised(*posed(**options), NEVER, 0.5, looks=(60,))
+        simulate_uncertainties(*posed(**options), NEVER, 0.5, looks=(60,))
         for options in (
             {"error_motion_std": 1e-7},
             {"error_motion_std": None},
@@ -110,17 +110,19 @@ def test_a_stated_error_motion_is_held_and_none_scatters_what_is_stated():
         assert known.met(np.inf) > 0.95  # what is drawn agrees with what is stated
     assert np.sort(estimated.rms)[53] > 1.3 * estimated.median[0]
     # the part of the error motion is 1e-7 / 65 mm at each angle, and the mean takes little of it
-    bare = promised(*posed(error_motion_std=0.0), NEVER, 0.5, looks=(60,))
+    bare = simulate_uncertainties(*posed(error_motion_std=0.0), NEVER, 0.5, looks=(60,))
     added = np.sqrt(stated.median[0] ** 2 - bare.median[0] ** 2) / 2.0
     assert added == pytest.approx(1e-7 / 0.065, rel=0.25)
 
 
 def test_the_same_seed_promises_the_same():
     problem, scene = posed(error_motion_std=None)
-    first, again = (promised(problem, scene, NEVER, 0.5, looks=(5,), seed=2) for _ in range(2))
+    first, again = (
+        simulate_uncertainties(problem, scene, NEVER, 0.5, looks=(5,), seed=2) for _ in range(2)
+    )
     assert np.array_equal(first.rms, again.rms)
     blind = replace(problem, targets=problem.targets * [1, 1, 0])
-    assert promised(blind, scene, NEVER, 0.5, looks=(3,)).runs == 3
+    assert simulate_uncertainties(blind, scene, NEVER, 0.5, looks=(3,)).runs == 3
 
 
 @pytest.mark.slow
@@ -130,6 +132,8 @@ def test_the_same_seed_promises_the_same():
 )
 def test_no_more_runs_are_simulated_than_tell_it(goal, runs):
     """Of 20 runs with none missed more than half meet it; where none does, 100 show how far."""
-    found = promised(*posed(error_motion_std=0.0), (goal, goal), 0.5, looks=(20, 160))
+    found = simulate_uncertainties(
+        *posed(error_motion_std=0.0), (goal, goal), 0.5, looks=(20, 160)
+    )
     assert found.runs == runs
     assert found.kept(0.5, goal, goal) == (goal == 1.0)

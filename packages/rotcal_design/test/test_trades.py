@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_design.ball_plate.ball_layout import bound, plate_trade, unit_std
+from rotcal_design.ball_plate.ball_layout import plate_trade, unit_std, variance_bound
 from rotcal_design.settings import TracerDesignSettings
 from rotcal_design.tracer.trade import tracer_trade
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.planning.sequence_time import stated_time
+from rotcal_ros.planning.sequence_time import constant_time_model
 
 M = 11
-PAPERS_TIME = stated_time(10.0, 5.0)
+PAPERS_TIME = constant_time_model(10.0, 5.0)
 GOAL = 1.202 * ARCSEC
 COARSE = TracerDesignSettings(
     need_arcsec=1.202, table_start_deg=-145.0, table_step_deg=30.0, table_positions=M,
@@ -84,11 +84,11 @@ def test_no_pattern_of_a_plate_beats_its_bound():
         except ObservabilityError:
             continue
         tried += 1
-        assert (std**2).mean() >= (1.0 - 1e-9) * bound(grid, len(balls) * len(positions))
+        assert (std**2).mean() >= (1.0 - 1e-9) * variance_bound(grid, len(balls) * len(positions))
     assert tried > 15
     every = np.arange(grid)
     full = unit_std(grid, every, every, 1.0)["ECC"]
-    assert (full**2).mean() == pytest.approx(bound(grid, grid**2), rel=1e-9)
+    assert (full**2).mean() == pytest.approx(variance_bound(grid, grid**2), rel=1e-9)
 
 
 def test_a_plate_of_that_radius_or_noise_reaches_the_goal():

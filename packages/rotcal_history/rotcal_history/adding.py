@@ -15,15 +15,15 @@ from rotcal_history.database import (
     ITEMS,
     REPLACED,
     RESULT,
-    Added,
+    AdditionOutcome,
     ParkHistory,
-    canonical,
+    canonical_json,
     result_of,
 )
 from rotcal_history.outlook import deviation_series, expected_curve
 from rotcal_history.page import render
 from rotcal_history.settings import HistorySettings
-from rotcal_history.trend import fit
+from rotcal_history.trend import fit_trend
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.foundation.arrays import std_of
 from rotcal_ros.foundation.circumstances import Circumstances
@@ -49,7 +49,7 @@ LONGEST_NS: Final = 86_400_000_000_000
 
 def add_sources(
     history: ParkHistory, sources: Iterable[Path], given: Mapping[str, Any], kind: str | None
-) -> Iterator[list[Added] | RotcalError]:
+) -> Iterator[list[AdditionOutcome] | RotcalError]:
     """Yield what was added of each source, or why nothing was; files of a ``kind`` as they are.
 
     It is on the medium then: of result files AT_ONCE share a transaction. ``given`` is what a
@@ -82,7 +82,7 @@ def _or_error(kinds: Any, function: Callable[..., Any], *given: Any) -> Any:
 
 def _add(
     history: ParkHistory, given: Mapping[str, Any], source: Path, found: ResultSource
-) -> list[Added]:
+) -> list[AdditionOutcome]:
     """Add the result that was found in a file, bag or session, and the report of a session."""
     given = {**given, "axis": given.get("axis") or found.axis or ""}
     added = [history.add_result(found.result, **given, where=str(source))]
@@ -95,7 +95,7 @@ def _add(
 
 def _add_document(
     history: ParkHistory, given: Mapping[str, Any], kind: str, source: Path, content: bytes
-) -> list[Added]:
+) -> list[AdditionOutcome]:
     item = history.item(given["serial"], given["axis"])
     day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
     return [history.add_document(item, kind, source.name, day, content)]
@@ -108,7 +108,9 @@ def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
         return _add(history, {"axis": axis}, folder.path, found)[0].describe()
 
 
-def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
+def keep_measurement(
+    history: ParkHistory, result: Result, serial: str, source: str
+) -> AdditionOutcome:
     """Add the result of a bag, in place of an earlier one of the same measurement.
 
     So a bag that is solved again counts once. The earlier one stays if it had more observations:
@@ -130,8 +132,8 @@ def keep_measurement(history: ParkHistory, result: Result, serial: str, source: 
     for entry, earlier in same:
         if entry.state != REPLACED:
             fuller = _observed(earlier) > _observed(result)
-            as_before = fuller or canonical(earlier) == canonical(result)
-            return Added(entry, new=False) if as_before else add(why=why, corrects=entry)
+            as_before = fuller or canonical_json(earlier) == canonical_json(result)
+            return AdditionOutcome(entry, new=False) if as_before else add(why=why, corrects=entry)
     if same:
         raise DataError(
             f"entry {same[-1][0].id} of the same measurement was taken from this table: add it "
@@ -190,7 +192,7 @@ def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, f
         item, settings = history.item(serial, axis), HistorySettings()
         curves = deviation_series(history, item, "ECC", settings)
         newest = result_of(history.entry(curves.campaigns[-1].entry_id))
-    curve, covariance = expected_curve(curves, fit(curves.series), time_of(day))
+    curve, covariance = expected_curve(curves, fit_trend(curves.series), time_of(day))
     # A curve that counts from an angle moves by the error there, too.
     room = (curves.tolerance - float(np.max(np.abs(curve)))) / (1 if curves.zero is None else 2)
     words = phrase("expected of {0} results for {1}: not measured", len(curves.campaigns), day)

@@ -39,7 +39,7 @@ _STEPS: Final = 40
 """Times at which a forecast is drawn."""
 
 
-def own_scatter(stated: Floats) -> Floats:
+def self_scaled_deviates(stated: Floats) -> Floats:
     """Return deviates (m, p) that take their scatter from the series itself (Quesenberry 1991).
 
     ``stated`` (m, p) are those by the stated uncertainties, whose common size does not matter;
@@ -55,7 +55,7 @@ def own_scatter(stated: Floats) -> Floats:
     return np.where(freedom[:, None] > 0, found, np.nan)
 
 
-def statistic(chart: Chart, deviates: Floats) -> Floats:
+def chart_statistic(chart: Chart, deviates: Floats) -> Floats:
     """Return what a chart shows (m, p) of deviates (m, p); (m, 1) of T2. NaN counts as nothing.
 
     Of a CUSUM it is the larger of both sums, with its sign.
@@ -76,7 +76,7 @@ def statistic(chart: Chart, deviates: Floats) -> Floats:
     return found
 
 
-def limit(chart: Chart, count: int, run_length: float = FALSE_ALARM) -> float:
+def control_limit(chart: Chart, count: int, run_length: float = FALSE_ALARM) -> float:
     """Return the limit of |statistic| for ``count`` deviates at once.
 
     A false alarm of any of them comes once in ``run_length`` campaigns.
@@ -93,9 +93,11 @@ def limit(chart: Chart, count: int, run_length: float = FALSE_ALARM) -> float:
     return root_between(lambda edge: length(edge) - alone, low, high, _EXACT)
 
 
-def alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> list[int]:
+def chart_alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> list[int]:
     """Return the campaigns at which a chart of deviates (m, p) is beyond its limit."""
-    beyond = np.abs(statistic(chart, deviates)) > limit(chart, deviates.shape[1], run_length)
+    beyond = np.abs(chart_statistic(chart, deviates)) > control_limit(
+        chart, deviates.shape[1], run_length
+    )
     return [int(row) for row in np.flatnonzero(np.any(beyond, axis=1))]
 
 
@@ -143,9 +145,9 @@ def chart_and_forecast(
     top.legend()
     deviates = trend.surprise if basis == "model" else trend.stated
     if basis == "own":
-        deviates = own_scatter(deviates)
-    edge = limit(chart, deviates.shape[1])
-    bottom.plot(dates, statistic(chart, deviates), "o-", ms=3, lw=0.8)
+        deviates = self_scaled_deviates(deviates)
+    edge = control_limit(chart, deviates.shape[1])
+    bottom.plot(dates, chart_statistic(chart, deviates), "o-", ms=3, lw=0.8)
     for sign in (1.0,) if chart == "t2" else (-1.0, 1.0):
         bottom.axhline(sign * edge, color=style.RED, ls="--", lw=1)
     bottom.set_ylabel(f"{chart}, {_WORDS[basis]}")

@@ -140,7 +140,7 @@ TABLES: Final = tuple(table.name for table in METADATA.sorted_tables)
 
 
 @dataclass(frozen=True)
-class OfAxis:
+class AxisIdentity:
     """What is of a rotary axis of one machine."""
 
     serial: str
@@ -153,14 +153,14 @@ class OfAxis:
 
 
 @dataclass(frozen=True)
-class Item(OfAxis):
+class RegisteredAxis(AxisIdentity):
     """An axis, and its number in the database."""
 
     id: int
 
 
 @dataclass(frozen=True)
-class HistoryEntry(OfAxis):
+class HistoryEntry(AxisIdentity):
     """One entry; ``content`` as it was added, times in ns since 1970.
 
     ``what``: the method of a result, the kind of an event, the name of a file. ``replaces`` is
@@ -196,7 +196,7 @@ class HistoryEntry(OfAxis):
 
 
 @dataclass(frozen=True)
-class Added:
+class AdditionOutcome:
     """What became of an addition: the entry, and whether it is new."""
 
     entry: HistoryEntry
@@ -266,7 +266,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         why: str = "",
         corrects: HistoryEntry | None = None,
         where: str = "the result",
-    ) -> Added:
+    ) -> AdditionOutcome:
         """Add a result, or put it in place of the entry ``corrects``; ``why`` is for people.
 
         ``serial``, ``axis`` and ``measured_ns`` give what it does not state itself. Raises
@@ -280,23 +280,29 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
                 f"{where} does not say when it was measured: give the day with --measured, or "
                 "state identity.measured in the configuration"
             )
-        entry = _entry(serial, axis, RESULT, result.method, measured_ns, why, canonical(result))
+        entry = _entry(
+            serial, axis, RESULT, result.method, measured_ns, why, canonical_json(result)
+        )
         return self._add(entry, corrects, where, result)
 
-    def add_event(self, item: OfAxis, what: str, measured_ns: int, why: str) -> Added:
+    def add_event(
+        self, item: AxisIdentity, what: str, measured_ns: int, why: str
+    ) -> AdditionOutcome:
         """Add an event of EVENTS, such as a crash, which cuts the series or lets it jump."""
         of = item.serial, item.axis
         content = json.dumps([*of, what, measured_ns, why]).encode()
         return self._add(_entry(*of, EVENT, what, measured_ns, why, content), None, what)
 
     def add_document(
-        self, item: OfAxis, kind: str, name: str, measured_ns: int, content: bytes
-    ) -> Added:
+        self, item: AxisIdentity, kind: str, name: str, measured_ns: int, content: bytes
+    ) -> AdditionOutcome:
         """Add a file of one of the kinds DOCUMENTS, byte by byte."""
         entry = _entry(item.serial, item.axis, kind, name, measured_ns, "", content)
         return self._add(entry, None, name)
 
-    def correct(self, entry_id: int, why: str, *, serial: str = "", axis: str = "") -> Added:
+    def correct(
+        self, entry_id: int, why: str, *, serial: str = "", axis: str = ""
+    ) -> AdditionOutcome:
         """Move an entry to another table, or withdraw it where neither is given.
 
         In the place of a withdrawal what was withdrawn comes back.
@@ -313,7 +319,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         new = _entry(serial or old.serial, axis or old.axis, counted.kind, what, day, why, content)
         return self._add(new, old, f"entry {entry_id}")
 
-    def restore(self, entry: HistoryEntry, replaced: str) -> Added:
+    def restore(self, entry: HistoryEntry, replaced: str) -> AdditionOutcome:
         """Add an entry of another history as it is there; ``replaced``: hash of what it replaces.
 
         Raises DataError if it is not as its hashes say.
@@ -327,14 +333,14 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
             raise DataError(f"{where} replaces an entry that is missing: export all of them")
         return self._add(entry, old, where)
 
-    def items(self, *wanted: Any, valid: bool = True) -> list[Item]:
+    def items(self, *wanted: Any, valid: bool = True) -> list[RegisteredAxis]:
         """Return all axes with a valid entry, or with any, by serial number."""
         kept = sa.exists().where(ENTRIES.c.item_id == ITEMS.c.id, _VALID if valid else sa.true())
         asked = sa.select(ITEMS).where(kept, *wanted).order_by(ITEMS.c.serial, ITEMS.c.axis)
         with self._connected() as connection:
-            return [Item(**row._asdict()) for row in connection.execute(asked)]
+            return [RegisteredAxis(**row._asdict()) for row in connection.execute(asked)]
 
-    def item(self, serial: str, axis: str = "") -> Item:
+    def item(self, serial: str, axis: str = "") -> RegisteredAxis:
         """Return an axis; DataError if there is none, or more than one without ``axis``.
 
         One of which all has been withdrawn is found, too.
@@ -358,7 +364,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
             raise BagError(f"entry {entry_id} is not what was added: take it from an export")
         return entry
 
-    def of_item(self, item: Item, *, valid: bool = True) -> list[HistoryEntry]:
+    def of_item(self, item: RegisteredAxis, *, valid: bool = True) -> list[HistoryEntry]:
         """Return the entries of an axis by time of measurement, without their content."""
         wanted = [ENTRIES.c.item_id == item.id, *([_VALID] if valid else [])]
         return sorted(self.entries(*wanted), key=lambda entry: (entry.measured_ns, entry.id))
@@ -378,7 +384,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
                     facts["content"] = _opened(facts["content"])
                 yield HistoryEntry(**facts)
 
-    def campaigns(self, item: Item) -> list[Campaign]:
+    def campaigns(self, item: RegisteredAxis) -> list[Campaign]:
         """Return the valid results of an axis with their curves, by time of measurement."""
         of_item = sa.and_(ENTRIES.c.item_id == item.id, _VALID)
         asked = sa.select(ENTRIES.c.measured_ns, RESULTS).join(RESULTS).where(of_item)
@@ -457,7 +463,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         old: HistoryEntry | None,
         where: str,
         result: Result | None = None,
-    ) -> Added:
+    ) -> AdditionOutcome:
         """Write an entry, in place of the ``old`` one, and what follows from it: all of it."""
         hashed = entry.hashed(old.sha256 if old else "")
         entry = replace(entry, sha256=hashed, replaces=old.id if old else None)
@@ -482,8 +488,8 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
                 if rows := _curve_rows(entry_id, result):
                     connection.execute(sa.insert(CURVES), rows)
         if entry_id is not None:
-            return Added(replace(entry, id=entry_id), new=True)
-        return Added(self._there_already(entry, where), new=False)
+            return AdditionOutcome(replace(entry, id=entry_id), new=True)
+        return AdditionOutcome(self._there_already(entry, where), new=False)
 
     def _there_already(self, entry: HistoryEntry, where: str) -> HistoryEntry:
         """Return the entry that was there before; DataError if it says something else."""
@@ -542,7 +548,7 @@ def result_of(entry: HistoryEntry) -> Result:
     return Result.from_dict(load_json(entry.content))
 
 
-def canonical(result: Result) -> bytes:
+def canonical_json(result: Result) -> bytes:
     """Return a result as text: the same for the same result, every number to the last bit."""
     return json.dumps(result.to_dict(), separators=(",", ":"), allow_nan=False).encode()
 
@@ -732,13 +738,13 @@ def _curve_rows(entry_id: int, result: Result) -> list[dict[str, Any]]:
         with suppress(DataError):
             curve = measured_curve(result, name)
             if not curve.open_zeros:
-                arrays = {part: packed(getattr(curve, part)) for part in _OF_CURVE}
+                arrays = {part: float64_bytes(getattr(curve, part)) for part in _OF_CURVE}
                 facts = {"entry_id": entry_id, "component": name, "period": curve.period}
                 rows.append({**facts, **arrays})
     return rows
 
 
-def packed(array: Floats) -> bytes:
+def float64_bytes(array: Floats) -> bytes:
     """Return an array as bytes: float64, little-endian, row by row."""
     return np.ascontiguousarray(array, dtype="<f8").tobytes()
 

@@ -30,7 +30,7 @@ _IN_LABEL: Final = str.maketrans({"\\": r"\\", '"': r"\""})
 _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 
 
-def export(history: ParkHistory, folder: Path) -> int:
+def export_history(history: ParkHistory, folder: Path) -> int:
     """Write both files into ``folder``, each whole or not at all; return the entries' number."""
     folder.mkdir(parents=True, exist_ok=True)
     for (name, schema), batches in zip(_schemas().items(), (_entries, _deviations), strict=True):
@@ -38,7 +38,7 @@ def export(history: ParkHistory, folder: Path) -> int:
     return int(arrow()[1].read_metadata(folder / ENTRIES).num_rows)
 
 
-def restore(history: ParkHistory, folder: Path) -> tuple[int, int]:
+def restore_history(history: ParkHistory, folder: Path) -> tuple[int, int]:
     """Add the entries of an export; return how many are new, and how many were there before.
 
     Raises BagError for files that are damaged, DataError for entries that do not fit.
@@ -59,7 +59,7 @@ def restore(history: ParkHistory, folder: Path) -> tuple[int, int]:
     return new, old
 
 
-def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
+def due_calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
     """Return the due dates as an iCalendar (RFC 5545): a whole day for each table."""
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//rotcal_ros//history//EN"]
     for view in outlooks:
@@ -75,7 +75,7 @@ def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
     return "".join(f"{part}\r\n" for line in [*lines, "END:VCALENDAR"] for part in _folded(line))
 
 
-def letter(outlooks: Sequence[Outlook], before: str) -> str:
+def reminder_mail(outlooks: Sequence[Outlook], before: str) -> str:
     """Return the due tables as the text of an e-mail, its subject first."""
     tables = "1 table is" if len(outlooks) == 1 else f"{len(outlooks)} tables are"
     lines = [f"Subject: {tables} due before {before}", ""]
@@ -85,7 +85,7 @@ def letter(outlooks: Sequence[Outlook], before: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def metrics(outlooks: Sequence[Outlook]) -> str:
+def prometheus_metrics(outlooks: Sequence[Outlook]) -> str:
     """Return what monitoring needs, in the text format of Prometheus."""
     families = (
         ("due_timestamp_seconds", "When the axis is due.", lambda o: o.due_ns / 1e9),

@@ -17,11 +17,18 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from rotcal_history.charts import FALSE_ALARM, alarms
-from rotcal_history.database import EVENT, Campaign, Item, OfAxis, ParkHistory, result_of
-from rotcal_history.series import DeviationSeries, series_of
+from rotcal_history.charts import FALSE_ALARM, chart_alarms
+from rotcal_history.database import (
+    EVENT,
+    AxisIdentity,
+    Campaign,
+    ParkHistory,
+    RegisteredAxis,
+    result_of,
+)
+from rotcal_history.series import DeviationSeries, make_deviation_series
 from rotcal_history.settings import Chart, HistorySettings
-from rotcal_history.trend import DRAWS, YEAR_NS, Trend, fit
+from rotcal_history.trend import DRAWS, YEAR_NS, Trend, fit_trend
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.evaluation.marks import decide_conformity
 from rotcal_ros.foundation.arrays import Floats, Ints, std_of
@@ -112,7 +119,7 @@ class DeviationOutlook:
 
 
 @dataclass(frozen=True)
-class Outlook(OfAxis):
+class Outlook(AxisIdentity):
     """What is known of one axis; times in ns since 1970, ``due_ns`` with the ``reason``."""
 
     results: int
@@ -151,7 +158,7 @@ class Outlook(OfAxis):
         return tuple(found for found in self.findings if found.kind != "drift")
 
 
-def park(
+def all_outlooks(
     history: ParkHistory,
     settings: HistorySettings,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -167,7 +174,7 @@ def park(
         with suppress(ValueError, KeyError):
             kept = json.loads(known[basis])
             view = record(Outlook, with_codes(kept, kept.pop("codes")))
-        if view is None and (view := outlook_of(history, item, settings)) is not None:
+        if view is None and (view := axis_outlook(history, item, settings)) is not None:
             new[basis] = json.dumps(_kept(view), allow_nan=False)
         if view is not None:
             found.append(view)
@@ -185,7 +192,9 @@ def _kept(view: Outlook) -> dict[str, Any]:
     return {**found, "codes": codes_of(found)}
 
 
-def _bases(history: ParkHistory, settings: HistorySettings) -> tuple[list[Item], list[str]]:
+def _bases(
+    history: ParkHistory, settings: HistorySettings
+) -> tuple[list[RegisteredAxis], list[str]]:
     """Return all axes, and what identifies the forecast of each: its entries and the settings."""
     plain = replace(settings, database="", period_s=1.0)  # the others change what is forecast
     items, hashes = history.items(), history.bases()
@@ -203,7 +212,7 @@ def changed_forecasts(history: ParkHistory, settings: HistorySettings) -> list[s
     for item, basis in zip(items, bases, strict=True):
         if basis not in known:
             continue
-        view = outlook_of(history, item, settings)
+        view = axis_outlook(history, item, settings)
         again = None if view is None else json.loads(json.dumps(_kept(view)))
         kept = None
         with suppress(ValueError):
@@ -227,13 +236,15 @@ def _alike(kept: Any, again: Any) -> bool:
     return bool(kept == again)
 
 
-def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> Outlook | None:
+def axis_outlook(
+    history: ParkHistory, item: RegisteredAxis, settings: HistorySettings
+) -> Outlook | None:
     """Return the outlook of one axis; None for one without results."""
     campaigns, entries = history.campaigns(item), history.of_item(item)
     if not campaigns:
         return None
     newest = campaigns[-1]
-    found = series_of(campaigns, entries, settings.common_share)
+    found = make_deviation_series(campaigns, entries, settings.common_share)
     each = tuple(_of_deviation(curves, settings) for curves in found.values())
     findings = [f for view in each for f in _findings(view)]
     line = result_of(history.entry(newest.entry_id)).verdict_line
@@ -254,10 +265,12 @@ def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> O
 
 
 def deviation_series(
-    history: ParkHistory, item: Item, component: str, settings: HistorySettings
+    history: ParkHistory, item: RegisteredAxis, component: str, settings: HistorySettings
 ) -> DeviationSeries:
     """Return the series of one deviation of an axis; DataError with fewer than two results."""
-    found = series_of(history.campaigns(item), history.of_item(item), settings.common_share)
+    found = make_deviation_series(
+        history.campaigns(item), history.of_item(item), settings.common_share
+    )
     curves = found.get(component)
     if curves is None or len(curves.campaigns) < 2:
         raise DataError(
@@ -325,7 +338,7 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
     plain = DeviationOutlook(name, tolerance, times, largest, decision, curves.notes)
     if len(times) < 2:
         return plain
-    trend = fit(curves.series)
+    trend = fit_trend(curves.series)
     alarm = _alarm(trend, "t2")
     watched = len(times) - 1 if alarm is None else alarm
     found = replace(
@@ -404,7 +417,7 @@ def _alarm(trend: Trend, chart: Chart) -> int | None:
     T2 finds jumps, a CUSUM what wears.
     """
     run_length = FALSE_ALARM * max(1, len(trend.surprise) - 1)
-    found = alarms(chart, trend.surprise, run_length)
+    found = chart_alarms(chart, trend.surprise, run_length)
     since = int(np.searchsorted(trend.series.steps, trend.series.steps[-1]))
     return next((row for row in reversed(found) if row > since), None)
 

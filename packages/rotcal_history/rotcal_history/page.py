@@ -210,7 +210,7 @@ def _table_files(history: ParkHistory, view: Outlook, name: str) -> dict[str, _F
         "table",
         view=view,
         day_of=day_of,
-        figures=[(d.component, over_time(d, entries)) for d in view.deviations],
+        figures=[(d.component, draw_over_time(d, entries)) for d in view.deviations],
         entries=entries[::-1],
         documents=documents,
         home=f"../{PAGE}",
@@ -226,7 +226,7 @@ def _content(history: ParkHistory, number: int) -> bytes:
     return history.entry(number).content
 
 
-def over_time(view: DeviationOutlook, entries: Sequence[HistoryEntry]) -> str:
+def draw_over_time(view: DeviationOutlook, entries: Sequence[HistoryEntry]) -> str:
     """Return a drawing of the largest deviations over time, with tolerance, events and due."""
     unit, label = unit_of(view.component)
     events = [e for e in entries if e.kind == EVENT and e.measured_ns >= view.times_ns[0]]

@@ -70,7 +70,7 @@ class DeviationSeries:
         return np.asarray(self.rest + deviates @ root.T, dtype=np.float64)
 
 
-def series_of(
+def make_deviation_series(
     campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry], common_share: float
 ) -> dict[str, DeviationSeries]:
     """Return the series of each deviation of campaigns in order of time.

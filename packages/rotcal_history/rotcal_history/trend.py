@@ -96,7 +96,7 @@ _Beside: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True, eq=False)
-class Mode:
+class TrendMode:
     """The k likely Gaussian processes of one mode, in its ``unit``.
 
     ``sizes`` (k, 4) of drift, random walk, wear and season, ``weights`` (k,), Cholesky ``factors``
@@ -133,7 +133,7 @@ class Trend:
     """
 
     series: CampaignSeries
-    modes: tuple[Mode, ...]
+    modes: tuple[TrendMode, ...]
     surprise: Floats
     stated: Floats
 
@@ -209,7 +209,7 @@ class Trend:
         return found[0], found[1]
 
 
-def fit(series: CampaignSeries) -> Trend:
+def fit_trend(series: CampaignSeries) -> Trend:
     """Fit the model to a series of two campaigns or more; its uncertainties are above zero."""
     sizes, priors = _grid(series)
     count = int(series.orders.max())
@@ -232,7 +232,9 @@ def fit(series: CampaignSeries) -> Trend:
         likely = np.nonzero(weights[:, :, -1] > _LIKELY)
         chosen = weights[:, :, -1][likely]
         modes.append(
-            Mode(unit, sizes[likely[1]], chosen / chosen.sum(), factors[likely], white[likely])
+            TrendMode(
+                unit, sizes[likely[1]], chosen / chosen.sum(), factors[likely], white[likely]
+            )
         )
     return Trend(series, tuple(modes), surprise, stated)
 

@@ -210,7 +210,7 @@ def show(
     serial: str, axis: str, number: int | None, output: Path | None, as_json: bool, **asked: Any
 ) -> int:
     """Show all entries of the table SERIAL, what has changed, and when it is due."""
-    from rotcal_history.outlook import park
+    from rotcal_history.outlook import all_outlooks
 
     if (number is None) != (output is None):
         raise click.UsageError("--entry and --output belong together")
@@ -235,7 +235,7 @@ def show(
             say(f"{entry.kind} {entry.what}: {output.absolute()}")
             return 0
         entries = history.of_item(item, valid=False)
-        known = next((o for o in park(history, settings) if o.title == item.title), None)
+        known = next((o for o in all_outlooks(history, settings) if o.title == item.title), None)
     if as_json:
         outlook = None if known is None else _plain(known)
         print_json({"entries": [_facts(e) for e in entries], "outlook": outlook})
@@ -268,13 +268,15 @@ def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> 
     """Draw one deviation of the table SERIAL over time, its forecast, and a control chart."""
     from rotcal_history.charts import chart_and_forecast
     from rotcal_history.outlook import DAY_NS, deviation_series
-    from rotcal_history.trend import fit
+    from rotcal_history.trend import fit_trend
 
     settings: HistorySettings = asked["settings"]
     with _open(settings) as history:
         curves = deviation_series(history, history.item(serial, axis), component, settings)
     until = curves.campaigns[-1].measured_ns + round(2 * settings.interval_days * DAY_NS)
-    drawn = chart_and_forecast(curves, fit(curves.series), until, asked["chart"], asked["basis"])
+    drawn = chart_and_forecast(
+        curves, fit_trend(curves.series), until, asked["chart"], asked["basis"]
+    )
     write_atomically(output, drawn)
     say(f"drawn: {output.absolute()}")
     return 0
@@ -290,19 +292,19 @@ def due(
     before: str, ics: Path | None, mail: bool, settings: HistorySettings, as_json: bool
 ) -> int:
     """Show which tables are due before a day; the exit code is 1 if there are any."""
-    from rotcal_history.exchange import calendar, letter
+    from rotcal_history.exchange import due_calendar, reminder_mail
     from rotcal_history.outlook import DAY_NS
 
     limit = time_of(before) if before else time_of(today()) + DAY_NS
     day, views = day_of(limit), sorted(_park(settings), key=lambda o: (o.due_ns, o.title))
     found = [o for o in views if o.due_ns < limit]
     if ics is not None:
-        write_atomically(ics, calendar(found, datetime.now(timezone.utc)))
+        write_atomically(ics, due_calendar(found, datetime.now(timezone.utc)))
         say(f"calendar: {ics.absolute()}")
     if as_json:
         print_json({"before": day, "tables": [_plain(view) for view in found]})
     elif mail:
-        tell(*letter(found, day).splitlines())
+        tell(*reminder_mail(found, day).splitlines())
     elif found:
         _print(OF_TABLE, found)
     else:
@@ -332,10 +334,10 @@ def check(settings: HistorySettings, as_json: bool) -> int:
 @asked
 def export_verb(folder: Path, settings: HistorySettings) -> int:
     """Write the history as Parquet: entries, to import them elsewhere, and deviations."""
-    from rotcal_history.exchange import export
+    from rotcal_history.exchange import export_history
 
     with _open(settings) as history:
-        say(f"{export(history, folder)} entries: {folder.absolute()}")
+        say(f"{export_history(history, folder)} entries: {folder.absolute()}")
     return 0
 
 
@@ -344,10 +346,10 @@ def export_verb(folder: Path, settings: HistorySettings) -> int:
 @asked
 def import_verb(folder: Path, settings: HistorySettings) -> int:
     """Add the entries of an export; those that are there already stay as they are."""
-    from rotcal_history.exchange import restore
+    from rotcal_history.exchange import restore_history
 
     with _open(settings, must_exist=False) as history:
-        new, old = restore(history, folder)
+        new, old = restore_history(history, folder)
     say(f"{new} entries added, {old} were there already")
     return 0
 
@@ -371,7 +373,7 @@ def page(output: Path, language: str, settings: HistorySettings) -> int:
 @asked
 def metrics(settings: HistorySettings) -> int:
     """Print due dates and findings for monitoring, in the text format of Prometheus."""
-    from rotcal_history.exchange import metrics as of_all
+    from rotcal_history.exchange import prometheus_metrics as of_all
 
     click.echo(of_all(_park(settings)), nl=False)
     return 0
@@ -384,10 +386,10 @@ def _open(settings: HistorySettings, *, must_exist: bool = True) -> ParkHistory:
 
 
 def _park(settings: HistorySettings) -> list[Outlook]:
-    from rotcal_history.outlook import park
+    from rotcal_history.outlook import all_outlooks
 
     with _open(settings) as history, progress("looking at the tables") as shown:
-        return park(history, settings, shown)
+        return all_outlooks(history, settings, shown)
 
 
 def _plain(view: Outlook) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import simulated_park
 
-from rotcal_history.database import BagError, ParkHistory, canonical, result_of
+from rotcal_history.database import BagError, ParkHistory, canonical_json, result_of
 
 SURVIVED, REFUSED, WHOLE = 0, 3, 4
 MOST = 500
@@ -49,7 +49,7 @@ def main():
         ended = add(database, number, error, result)
         with ParkHistory(database) as history:
             here = {e.content: e for e in history.entries(content=True)}
-            kept = canonical(result) in here
+            kept = canonical_json(result) in here
             again = history.add_result(result)
             entries = list(history.entries(content=True))
             same = result_of(history.entry(again.entry.id)).to_json() == result.to_json()

@@ -30,19 +30,19 @@ def database(tmp_path):
 def test_statuses_have_verdict_due_and_table_in_force(database):
     from diagnostic_msgs.msg import DiagnosticStatus
 
-    from rotcal_history.node.calibration_status import outlooks_of, statuses
+    from rotcal_history.node.calibration_status import axis_statuses, machine_outlooks
     from rotcal_history.settings import HistorySettings
 
     settings = HistorySettings(database=database)
-    outlooks = outlooks_of(settings, "")
-    hit, stays = statuses(outlooks, outlooks[0].last_ns)
+    outlooks = machine_outlooks(settings, "")
+    hit, stays = axis_statuses(outlooks, outlooks[0].last_ns)
     assert (hit.name, hit.level) == ("HIT/C", DiagnosticStatus.ERROR)
     assert "jumped" in hit.message
     assert (stays.name, stays.level) == ("STAYS/C", DiagnosticStatus.OK)
     values = {pair.key: pair.value for pair in stays.values}
     assert (values["verdict"], values["table_in_force"]) == ("ok", "unknown")
     assert values["due"] == day_of(outlooks[1].due_ns)
-    (late,) = statuses(outlooks_of(settings, "STAYS"), outlooks[1].due_ns)
+    (late,) = axis_statuses(machine_outlooks(settings, "STAYS"), outlooks[1].due_ns)
     assert late.level == DiagnosticStatus.WARN
 
 

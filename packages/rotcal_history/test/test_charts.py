@@ -8,10 +8,10 @@ from scipy.stats import chi2
 
 from rotcal_history.charts import (
     FALSE_ALARM,
-    alarms,
-    limit,
-    own_scatter,
-    statistic,
+    chart_alarms,
+    chart_statistic,
+    control_limit,
+    self_scaled_deviates,
 )
 from rotcal_history.settings import Chart
 
@@ -22,7 +22,7 @@ EWMA_STD = np.sqrt(0.2 / 1.8)
 def mean_run_length(chart, shift=0.0, count=1, runs=400, longest=6000, seed=1):
     """Return the campaigns until an alarm, simulated: all runs side by side."""
     rng = np.random.default_rng(seed)
-    edge, alive = limit(chart, count), np.ones(runs, dtype=bool)
+    edge, alive = control_limit(chart, count), np.ones(runs, dtype=bool)
     up, down, smooth = (np.zeros((runs, count)) for _ in range(3))
     total = 0
     for _ in range(longest):
@@ -43,10 +43,10 @@ def mean_run_length(chart, shift=0.0, count=1, runs=400, longest=6000, seed=1):
 
 def test_limits_are_those_of_the_literature():
     """Montgomery, Statistical Quality Control: 3 sigma; h = 4.77; L = 2.86 at 0.2; chi-square."""
-    assert limit("shewhart", 1) == pytest.approx(3.0, abs=1e-4)
-    assert limit("cusum", 1) == pytest.approx(4.77, abs=0.02)
-    assert limit("ewma", 1) / EWMA_STD == pytest.approx(2.86, abs=0.01)
-    assert limit("t2", 5) == pytest.approx(chi2.isf(1.0 / FALSE_ALARM, 5))
+    assert control_limit("shewhart", 1) == pytest.approx(3.0, abs=1e-4)
+    assert control_limit("cusum", 1) == pytest.approx(4.77, abs=0.02)
+    assert control_limit("ewma", 1) / EWMA_STD == pytest.approx(2.86, abs=0.01)
+    assert control_limit("t2", 5) == pytest.approx(chi2.isf(1.0 / FALSE_ALARM, 5))
 
 
 @pytest.mark.parametrize("count", [1, 8])
@@ -69,16 +69,16 @@ def test_a_shift_of_one_uncertainty_is_found_as_the_page_says():
 
 def test_statistics_by_hand():
     z = np.array([[2.0], [np.nan], [-3.0]])
-    assert statistic("shewhart", z)[:, 0].tolist() == [2.0, 0.0, -3.0]
-    assert statistic("cusum", z)[:, 0].tolist() == [1.5, 1.0, -2.5]
-    assert statistic("ewma", z)[:, 0] == pytest.approx([0.4, 0.32, -0.344])
-    assert statistic("t2", np.array([[3.0, 4.0]]))[:, 0].tolist() == [25.0]
-    assert alarms("shewhart", np.array([[0.0], [-3.5], [1.0]])) == [1]
+    assert chart_statistic("shewhart", z)[:, 0].tolist() == [2.0, 0.0, -3.0]
+    assert chart_statistic("cusum", z)[:, 0].tolist() == [1.5, 1.0, -2.5]
+    assert chart_statistic("ewma", z)[:, 0] == pytest.approx([0.4, 0.32, -0.344])
+    assert chart_statistic("t2", np.array([[3.0, 4.0]]))[:, 0].tolist() == [25.0]
+    assert chart_alarms("shewhart", np.array([[0.0], [-3.5], [1.0]])) == [1]
 
 
 def test_own_scatter_does_not_depend_on_what_is_stated():
     stated = np.vstack([np.full((1, 2), np.nan), np.random.default_rng(2).normal(size=(40, 2))])
-    one, other = own_scatter(stated), own_scatter(7.0 * stated)
+    one, other = self_scaled_deviates(stated), self_scaled_deviates(7.0 * stated)
     assert np.isnan(one[:2]).all()
     assert one[2:] == pytest.approx(other[2:])
     assert np.std(one[5:]) == pytest.approx(1.0, abs=0.25)

@@ -8,7 +8,7 @@ from simulated_park import ANGLES, basis, largest
 from rotcal_history.outlook import due_date
 from rotcal_history.series import DeviationSeries
 from rotcal_history.settings import HistorySettings
-from rotcal_history.trend import ABSENT, SIZES, WEARS, YEAR_NS, CampaignSeries, fit
+from rotcal_history.trend import ABSENT, SIZES, WEARS, YEAR_NS, CampaignSeries, fit_trend
 
 SETTINGS = HistorySettings(longest_days=20 * 365.25)
 
@@ -71,7 +71,7 @@ def promises(count, seed=1, campaigns=8, *, straight=False):
         rng = np.random.default_rng((seed, number))  # so that no table changes the next one
         table, years = Mover(rng, straight=straight), np.linspace(0.0, 5.0, campaigns)
         curves = series_of(table, years, rng)
-        due_ns, _ = due_date(curves, fit(curves.series), table.tolerance, SETTINGS)
+        due_ns, _ = due_date(curves, fit_trend(curves.series), table.tolerance, SETTINGS)
         year = due_ns / YEAR_NS
         if years[-1] + 0.01 < year < years[-1] + 19.9:
             given += 1

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from simulated_park import Table, measured
 
 from rotcal_history.database import TABLES, ParkHistory
-from rotcal_history.exchange import calendar, letter, metrics
-from rotcal_history.outlook import park
+from rotcal_history.exchange import due_calendar, prometheus_metrics, reminder_mail
+from rotcal_history.outlook import all_outlooks
 from rotcal_history.page import OURS, write_park
 from rotcal_history.settings import HistorySettings
 from rotcal_ros.cli.main import rotcal
@@ -165,10 +165,13 @@ def test_an_entry_that_unpacks_to_gigabytes_is_bounded(place):
 
 def test_calendar_metrics_and_letter_hold_visible_characters_alone(place):
     with ParkHistory(place) as history:
-        (view,) = park(history, SETTINGS)
+        (view,) = all_outlooks(history, SETTINGS)
     bad = replace(view, serial='a\rX-EVIL:1\x1b[2J\u202eb\n"c\\', reason="r\r\nATTACH:x\x1b")
-    texts = calendar([bad], datetime(2026, 1, 2, tzinfo=timezone.utc)), metrics([bad])
-    for text in (*texts, letter([bad], "2026-01-01")):
+    texts = (
+        due_calendar([bad], datetime(2026, 1, 2, tzinfo=timezone.utc)),
+        prometheus_metrics([bad]),
+    )
+    for text in (*texts, reminder_mail([bad], "2026-01-01")):
         lines = text.replace("\r\n", "\n").split("\n")
         assert all(line.isprintable() for line in lines)
         assert not any(line.startswith(("X-EVIL", "ATTACH", "c")) for line in lines)
@@ -182,7 +185,7 @@ def test_a_page_replaces_only_what_it_wrote(place, tmp_path):
     for path, text in mine.items():
         path.write_text(text)
     with ParkHistory(place) as history:
-        (view,) = park(history, SETTINGS)
+        (view,) = all_outlooks(history, SETTINGS)
         write_park(history, [view], out, "2026-03-31")
         assert all(path.read_text() == text for path, text in mine.items())
         with pytest.raises(BagError, match=r"table-1\.html is not as a page of ours left it"):
@@ -205,11 +208,11 @@ def test_a_page_is_not_written_through_a_link(place, tmp_path):
     (tmp_path / "out" / "park").symlink_to(tmp_path / "theirs")
     with ParkHistory(place) as history:
         with pytest.raises(BagError, match="is a link, through which nothing is written"):
-            write_park(history, park(history, SETTINGS), tmp_path / "out", "2026-03-31")
+            write_park(history, all_outlooks(history, SETTINGS), tmp_path / "out", "2026-03-31")
         (tmp_path / "out" / "park").unlink()
         (tmp_path / "out" / "park.html").symlink_to(tmp_path / "nothing.html")
         with pytest.raises(BagError, match="is not replaced"):
-            write_park(history, park(history, SETTINGS), tmp_path / "out", "2026-03-31")
+            write_park(history, all_outlooks(history, SETTINGS), tmp_path / "out", "2026-03-31")
     assert list((tmp_path / "theirs").iterdir()) == []
     assert not (tmp_path / "nothing.html").exists()
 
@@ -217,7 +220,7 @@ def test_a_page_is_not_written_through_a_link(place, tmp_path):
 def test_pages_at_once_are_whole(place, tmp_path):
     out = tmp_path / "out"
     with ParkHistory(place) as history:
-        (view,) = park(history, SETTINGS)
+        (view,) = all_outlooks(history, SETTINGS)
 
     def write(count):
         with ParkHistory(place) as history:
@@ -233,7 +236,7 @@ def test_pages_at_once_are_whole(place, tmp_path):
 
 def test_overdue_tables_with_findings_are_due_too(place, tmp_path):
     with ParkHistory(place) as history:
-        (view,) = park(history, SETTINGS)
+        (view,) = all_outlooks(history, SETTINGS)
         urgent = replace(view, verdict="suspect", due_ns=0, findings=_look(view))
         write_park(history, [urgent, urgent], tmp_path / "out", "2026-03-31")
     text = " ".join((tmp_path / "out" / "park.html").read_text().split())

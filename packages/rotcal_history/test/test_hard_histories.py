@@ -7,7 +7,7 @@ import pytest
 from simulated_park import BEGIN_NS, YEAR_NS, basis, result
 
 from rotcal_history.database import ParkHistory
-from rotcal_history.outlook import park
+from rotcal_history.outlook import all_outlooks
 from rotcal_history.settings import HistorySettings
 from rotcal_ros.foundation.units import ARCSEC
 
@@ -32,7 +32,7 @@ def outlook_of(tmp_path, results):
     with ParkHistory(str(tmp_path / "history.db")) as history:
         for each in results:
             history.add_result(each)
-        (view,) = park(history, HistorySettings())
+        (view,) = all_outlooks(history, HistorySettings())
     return view
 
 
@@ -113,7 +113,7 @@ def test_an_explained_jump_is_no_drift_of_a_control_chart(tmp_path):
         for year in YEARS:
             history.add_result(noisy(year, rng, size=1.0 if year < 2.5 else 5.0))
         history.add_event(history.item("X"), "crash", BEGIN_NS + round(2.5 * YEAR_NS), "")
-        (view,) = park(history, HistorySettings())
+        (view,) = all_outlooks(history, HistorySettings())
     assert dict(view.deviations[0].intervals_days)["control chart"] > 300.0
 
 

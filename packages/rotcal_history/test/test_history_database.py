@@ -16,10 +16,10 @@ from rotcal_history.database import (
     METADATA,
     TABLES,
     ParkHistory,
-    canonical,
+    canonical_json,
     result_of,
 )
-from rotcal_history.exchange import export, restore
+from rotcal_history.exchange import export_history, restore_history
 from rotcal_ros.foundation.dates import day_of, time_of
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.recordings.result_sources import read_source
@@ -81,7 +81,7 @@ def test_numbers_that_only_float64_tells_apart_stay_apart(database):
         entry = history.add_result(added).entry
         curve = history.campaigns(history.item("4711"))[0].curves["ECC"]
         assert curve.deviation.tobytes() == added.deviations["ECC"].tobytes()
-        assert history.entry(entry.id).content == canonical(added)
+        assert history.entry(entry.id).content == canonical_json(added)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_what_was_withdrawn_by_mistake_comes_back(database):
         again = history.add_result(some())
         assert again.describe().endswith("there already, but replaced")
         back = history.correct(withdrawn.id, "it was not", serial="4711").entry
-        assert (back.kind, back.content) == ("result", canonical(some()))
+        assert (back.kind, back.content) == ("result", canonical_json(some()))
         assert len(history.campaigns(history.item("4711"))) == 1
         assert history.check() == []
 
@@ -182,7 +182,7 @@ def test_check_names_what_was_changed(database, statement, words):
         if "content" in statement:
             import zlib
 
-            other = zlib.compress(canonical(some(u=0.4)))
+            other = zlib.compress(canonical_json(some(u=0.4)))
             text = f"X'{other.hex()}'" if "://" not in database else f"'\\x{other.hex()}'"
             statement = statement.replace("'{}'", text)
         tamper(history, statement)
@@ -259,16 +259,16 @@ def test_export_and_import_are_round_trips(database, tmp_path):
         history.add_event(history.item("4711"), "repair", BEGIN_NS, "new seals")
         history.add_document(history.item("4711"), "table", "c.ent", BEGIN_NS, bytes(range(256)))
         history.correct(wrong.id, "of the other", serial="4712")
-        assert export(history, tmp_path / "out") == 4
+        assert export_history(history, tmp_path / "out") == 4
         before = [replace(e, id=0, replaces=None) for e in history.entries(content=True)]
     with ParkHistory(str(tmp_path / "history2.db")) as other:
-        assert restore(other, tmp_path / "out") == (4, 0)
-        assert restore(other, tmp_path / "out") == (0, 4)
+        assert restore_history(other, tmp_path / "out") == (4, 0)
+        assert restore_history(other, tmp_path / "out") == (0, 4)
         after = [replace(e, id=0, replaces=None) for e in other.entries(content=True)]
         assert after == before
         assert other.check() == []
         assert [item.serial for item in other.items()] == ["4711", "4712"]
-        export(other, tmp_path / "again")
+        export_history(other, tmp_path / "again")
     import pyarrow.parquet as parquet
 
     tables = [parquet.read_table(tmp_path / f / "deviations.parquet") for f in ("out", "again")]
@@ -279,11 +279,11 @@ def test_export_and_import_are_round_trips(database, tmp_path):
 def test_a_damaged_export_is_refused(tmp_path):
     with ParkHistory(str(tmp_path / "history.db")) as history:
         history.add_result(some())
-        export(history, tmp_path)
+        export_history(history, tmp_path)
         path = tmp_path / "entries.parquet"
         path.write_bytes(path.read_bytes()[:-30])
         with pytest.raises(BagError, match="no whole export of a history"):
-            restore(history, tmp_path)
+            restore_history(history, tmp_path)
 
 
 def test_the_steps_lead_to_the_schema_that_is_used(database):

@@ -11,7 +11,7 @@ from test_due_dates import Mover, series_of
 from rotcal_history.adding import expected
 from rotcal_history.database import ParkHistory
 from rotcal_history.outlook import expected_curve
-from rotcal_history.trend import fit
+from rotcal_history.trend import fit_trend
 from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
@@ -42,7 +42,9 @@ def checked(count, seed):
     for _ in range(count):
         table = Mover(rng, straight=False)
         curves = series_of(table, YEARS, rng)
-        curve, covariance = expected_curve(curves, fit(curves.series), round(LATER * YEAR_NS))
+        curve, covariance = expected_curve(
+            curves, fit_trend(curves.series), round(LATER * YEAR_NS)
+        )
         room = LIMIT - float(np.max(np.abs(curve)))
         rule = CheckRule(max(room, 1e-9))
         u = standard_uncertainty(rule, np.sqrt(np.diag(covariance)))

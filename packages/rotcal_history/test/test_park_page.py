@@ -12,7 +12,7 @@ from simulated_park import Table, measured
 
 from rotcal_history import page as park_page
 from rotcal_history.database import ParkHistory
-from rotcal_history.outlook import park
+from rotcal_history.outlook import all_outlooks
 from rotcal_history.page import write_park
 from rotcal_history.settings import HistorySettings
 from rotcal_ros.foundation.language import use_language
@@ -38,7 +38,7 @@ def small(tmp_path_factory):
         history.add_document(
             history.item("STAYS"), "report", "report.html", 1, b"<h1>The report</h1>"
         )
-        outlooks = park(history, HistorySettings())
+        outlooks = all_outlooks(history, HistorySettings())
         write_park(history, outlooks, folder, "2026-03-31")
     return folder, outlooks
 
@@ -104,7 +104,7 @@ def test_a_german_reader_finds_no_english(small, browser, tmp_path):
 def test_three_thousand_tables_are_as_quick_to_look_at(small, browser, tmp_path, monkeypatch):
     _, outlooks = small
     many = [replace(outlooks[n % 3], serial=f"T{n:04}") for n in range(3000)]
-    monkeypatch.setattr(park_page, "_write_table", lambda *_: None)
+    monkeypatch.setattr(park_page, "_table_files", lambda *_: {})
     begun = time.process_time()
     write_park(None, many, tmp_path, "2026-03-31")
     assert time.process_time() - begun < MOST_S

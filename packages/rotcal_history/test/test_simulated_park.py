@@ -8,7 +8,7 @@ from chances import most
 from simulated_park import Table, drawn, measured
 
 from rotcal_history.database import ParkHistory
-from rotcal_history.outlook import park
+from rotcal_history.outlook import all_outlooks
 from rotcal_history.settings import HistorySettings
 
 YEARS = np.linspace(0.0, 5.0, 11)
@@ -41,8 +41,8 @@ def test_the_right_tables_are_named(tmp_path, count):
         for results in results_of(count, 7).values():
             for each in results:
                 history.add_result(each)
-        outlooks = park(history, HistorySettings())
-        again = park(history, HistorySettings())
+        outlooks = all_outlooks(history, HistorySettings())
+        again = all_outlooks(history, HistorySettings())
     assert outlooks == again
     named = {o.serial: {f.kind for f in o.urgent} for o in outlooks if o.urgent}
     words = {o.serial: o.reason for o in outlooks}
@@ -61,11 +61,11 @@ def test_an_event_explains_a_jump(tmp_path):
     with ParkHistory(str(tmp_path / "history.db")) as history:
         for each in measured(table, YEARS, np.random.default_rng(1)):
             history.add_result(each)
-        (before,) = park(history, HistorySettings())
+        (before,) = all_outlooks(history, HistorySettings())
         history.add_event(
             history.item("HIT"), "crash", before.findings[0].time_ns - 1, "tailstock"
         )
-        (after,) = park(history, HistorySettings())
+        (after,) = all_outlooks(history, HistorySettings())
     assert [found.kind for found in before.findings] == ["jump"] + ["drift"] * (
         len(before.findings) - 1
     )
@@ -79,9 +79,9 @@ def test_after_an_event_a_table_has_to_be_measured(tmp_path, what):
     with ParkHistory(str(tmp_path / "history.db")) as history:
         for each in measured(table, YEARS, np.random.default_rng(1)):
             history.add_result(each)
-        (before,) = park(history, HistorySettings())
+        (before,) = all_outlooks(history, HistorySettings())
         history.add_event(history.item("HIT"), what, before.last_ns + 1, "")
-        (after,) = park(history, HistorySettings())
+        (after,) = all_outlooks(history, HistorySettings())
     assert not before.urgent
     assert after.due_ns == before.last_ns + 1
     assert f"{what} on 2026-01-01, after the newest result: measure again" in after.reason

@@ -9,12 +9,12 @@ from rotcal_ros.bags import names
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 
 
-def brings(_settings: DmeSettings) -> tuple[str, ...]:
+def provided_roles(_settings: DmeSettings) -> tuple[str, ...]:
     """Return the streams that the adapter will publish, and the orders that it will obey."""
     return (names.JOINT_STATES, names.PROBE_POINT, names.TABLE_ANGLE, names.PROBE_TARGET)
 
 
-def look(settings: DmeSettings, here: bool, simulated: bool) -> CheckLine:
+def check_line(settings: DmeSettings, here: bool, simulated: bool) -> CheckLine:
     """Say whether the address takes connections; not tried while an adapter of this cell runs."""
     place = f"{settings.host}:{settings.port}"
     if here:
@@ -33,4 +33,4 @@ def look(settings: DmeSettings, here: bool, simulated: bool) -> CheckLine:
     return CheckLine("machine", "I++ DME", "good", found)
 
 
-CHECK = DriverCheck(brings, look)
+CHECK = DriverCheck(provided_roles, check_line)

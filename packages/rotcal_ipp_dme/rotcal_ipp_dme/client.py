@@ -30,23 +30,23 @@ from rotcal_ipp_dme.protocol import (
     ConnectionLostError,
     DmeError,
     DmeFault,
-    Kind,
     LineBuffer,
     NotClearedError,
     ProtocolError,
     RefusedError,
+    ResponseKind,
     ResponseLine,
-    Tags,
+    TagCounter,
     Word,
-    call,
     calls_by_name,
+    make_call,
     parse_response,
     parse_values,
 )
 from rotcal_ipp_dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
-from rotcal_ros.planning.approach import approached
+from rotcal_ros.planning.approach import approach_angles
 from rotcal_ros.planning.plan import Point
 from rotcal_ros.planning.table_feedback import TableSpeed
 
@@ -103,19 +103,19 @@ class DmeClient:
         """End the session in good order; errors of that do not matter."""
         if self._link is not None and not self.blocked:
             with suppress(DmeError):
-                self._do(call("EndSession"))
+                self._do(make_call("EndSession"))
         self.blocked = self.blocked or NOT_STARTED
         self._drop()
 
     def where(self) -> MachinePosition:
         """Ask where the machine stands."""
-        return self._standing(call("Get", *REPORTED), self.settings.reply_timeout_s)
+        return self._standing(make_call("Get", *REPORTED), self.settings.reply_timeout_s)
 
     def go(self, x: float | None, y: float | None, z: float | None) -> None:
         """Move the tip in a straight line, m; None leaves a coordinate as it is."""
         axes = (("X", x), ("Y", y), ("Z", z))
         ways = [Call(name, (to / MILLIMETRE,)) for name, to in axes if to is not None]
-        self._do(call("GoTo", *ways), self.settings.motion_timeout_s)
+        self._do(make_call("GoTo", *ways), self.settings.motion_timeout_s)
 
     def turn(self, angle: float, approach: Approach, given_up: Callable[[], bool]) -> bool:
         """Turn the table to ``angle`` (rad) from a side, unless it stands there already.
@@ -151,7 +151,7 @@ class DmeClient:
         """Touch a surface; return when that was reported and the centre of the tip (m)."""
         axes = zip(("X", "Y", "Z"), nominal, strict=True)
         place = [Call(name, (value / MILLIMETRE,)) for name, value in axes]
-        order = call("PtMeas", *place, Call("IJK", direction))
+        order = make_call("PtMeas", *place, Call("IJK", direction))
         standing = self._standing(order, self.settings.motion_timeout_s)
         return self._now_ns(), standing.position
 
@@ -163,7 +163,7 @@ class DmeClient:
         link = self._link
         self.blocked = self.blocked or why
         if link is not None and not link.broken:
-            link.run(call("AbortE"), link.reply_timeout_s, event=True)
+            link.run(make_call("AbortE"), link.reply_timeout_s, event=True)
 
     def clear(self) -> None:
         """Go on after an error, on behalf of a person who has seen why.
@@ -177,7 +177,7 @@ class DmeClient:
             return
         self.blocked = ""
         try:
-            self._do(call("ClearAllErrors"))
+            self._do(make_call("ClearAllErrors"))
             self.where()
         except DmeError:
             self._drop()
@@ -187,39 +187,39 @@ class DmeClient:
         """Connect, and send all that a session needs; a DmeError leaves it half begun."""
         s = self.settings
         self._link = DmeLink(s.host, s.port, s.reply_timeout_s, self._report, self._concern)
-        self._do(call("EndSession"))  # what a lost connection left open, see 6.3.1 of 1.4.3
-        self._do(call("StartSession"))
+        self._do(make_call("EndSession"))  # what a lost connection left open, see 6.3.1 of 1.4.3
+        self._do(make_call("StartSession"))
         self._axis = TableAxis(s, self._way_to_turn())
         if not self._is_homed():
             if not s.home:
                 raise DmeError("the machine is not homed: home it, or set dme.home")
-            self._do(call("Home"), s.motion_timeout_s)
+            self._do(make_call("Home"), s.motion_timeout_s)
         self._take_tool()
-        self._do(call("SetCoordSystem", Word(s.coordinate_system)))
-        self._do(call("OnPtMeasReport", *REPORTED))
+        self._do(make_call("SetCoordSystem", Word(s.coordinate_system)))
+        self._do(make_call("OnPtMeasReport", *REPORTED))
         if s.report_period_s:
             period_s = max(s.report_period_s, SHORTEST_PERIOD_S)
-            period = (call("Time", period_s), call("Dis", FIRST_DISTANCE_MM))
-            self._do(call("OnMoveReportE", *period, *REPORTED), event=True)
+            period = (make_call("Time", period_s), make_call("Dis", FIRST_DISTANCE_MM))
+            self._do(make_call("OnMoveReportE", *period, *REPORTED), event=True)
         self.where()
 
     def _way_to_turn(self) -> str:
         """Return how the table is turned; the server is asked for its version if it matters."""
         if self.settings.turn_by != AUTO:
             return self.settings.turn_by
-        answer = self._properties(call("GetDMEVersion")).get("DMEVersion", Call(""))
+        answer = self._properties(make_call("GetDMEVersion")).get("DMEVersion", Call(""))
         self.version = "".join(str(argument) for argument in answer.arguments)
-        return way_to_turn(self.version)
+        return table_turn_method(self.version)
 
     def _take_tool(self) -> None:
         """Change to the tool, set how it probes if that can be set, and learn its radius."""
         s = self.settings
         if s.tool:
-            tools = [line.strip().strip('"') for line in self._do(call("EnumTools"))]
+            tools = [line.strip().strip('"') for line in self._do(make_call("EnumTools"))]
             if s.tool not in tools:
                 raise DmeError(f"no tool {s.tool!r}; the machine has {', '.join(tools) or 'none'}")
-            self._do(call("ChangeTool", s.tool), s.motion_timeout_s)
-        known = "\n".join(self._do(call("EnumAllProp", Call("Tool"))))
+            self._do(make_call("ChangeTool", s.tool), s.motion_timeout_s)
+        known = "\n".join(self._do(make_call("EnumAllProp", Call("Tool"))))
         wanted = {"Approach": s.approach_m, "Search": s.search_m}
         given = [
             Call(f"Tool.PtMeasPar.{name}", (value / MILLIMETRE,))
@@ -227,9 +227,9 @@ class DmeClient:
             if name in known
         ]
         if given:
-            self._do(call("SetProp", *given))
+            self._do(make_call("SetProp", *given))
         if not s.tip_radius_m:
-            properties = self._properties(call("GetProp", Call(RADIUS)))
+            properties = self._properties(make_call("GetProp", Call(RADIUS)))
             if RADIUS not in properties:
                 raise DmeError(f"the server does not state {RADIUS}: set dme.tip_radius_m")
             self.tip_radius = properties[RADIUS].number() * MILLIMETRE
@@ -237,7 +237,7 @@ class DmeClient:
                 raise DmeError(f"the server states {properties[RADIUS]}: set dme.tip_radius_m")
 
     def _is_homed(self) -> bool:
-        answer = self._properties(call("IsHomed")).get("IsHomed")
+        answer = self._properties(make_call("IsHomed")).get("IsHomed")
         return answer is None or answer.number() != 0.0
 
     def _properties(self, question: Call) -> dict[str, Call]:
@@ -252,7 +252,7 @@ class DmeClient:
         """Run a call that reports where the machine stands."""
         data = self._do(order, limit_s)
         try:
-            standing = parse_standing(data, str(order))
+            standing = parse_position_report(data, str(order))
         except DmeError as error:
             self._fail(error)
         self._tell(standing)
@@ -275,7 +275,7 @@ class DmeClient:
     def _stopped(self, link: DmeLink) -> str:
         """Stop a machine that does not answer; return the outcome in words."""
         try:
-            link.run(call("AbortE"), link.reply_timeout_s, event=True)
+            link.run(make_call("AbortE"), link.reply_timeout_s, event=True)
         except DmeError:
             return "AbortE was not answered either"
         return "AbortE was obeyed"
@@ -293,7 +293,7 @@ class DmeClient:
     def _report(self, tag: str, text: str) -> None:
         """Take what a daemon reports; other events (keys, points by hand) mean nothing here."""
         if tag != "E0000":
-            self._tell(standing_of(text, "OnMoveReportE"))
+            self._tell(parse_position(text, "OnMoveReportE"))
 
     def _concern(self, fault: DmeFault) -> None:
         """Take an error that answers no command, or that stops nothing."""
@@ -320,14 +320,14 @@ class MachinePosition:
     r_deg: float
 
 
-def parse_standing(data: Sequence[str], asked_by: str) -> MachinePosition:
+def parse_position_report(data: Sequence[str], asked_by: str) -> MachinePosition:
     """Return the one report among the data lines; ProtocolError when it is not there."""
     if len(data) != 1:
         raise ProtocolError(f"{asked_by}: expected one line of data, found {len(data)}")
-    return standing_of(data[0], asked_by)
+    return parse_position(data[0], asked_by)
 
 
-def standing_of(text: str, asked_by: str) -> MachinePosition:
+def parse_position(text: str, asked_by: str) -> MachinePosition:
     """Return the report in a data line; ProtocolError when it lacks X, Y, Z or R."""
     found = calls_by_name(parse_values(text))
     missing = [asked.name for asked in REPORTED if asked.name not in found]
@@ -343,7 +343,7 @@ FAR_OFF_DEG: Final = 1.0
 """A table that is farther from its order than this has misunderstood it."""
 
 
-def way_to_turn(version: str) -> str:
+def table_turn_method(version: str) -> str:
     """Return how a server of this version turns its table; DmeError if unreadable."""
     found = re.match(r"\s*(\d+)(\.|$)", version)
     if found is None:
@@ -374,16 +374,16 @@ class TableAxis:
         """Return the call that turns the table to ``angle`` (rad)."""
         if self.turn_by == GOTO_R:
             r_deg = self.settings.table_zero_deg + self._sign * angle / DEGREE
-            return call("GoTo", Call("R", (r_deg,)))
+            return make_call("GoTo", Call("R", (r_deg,)))
         turned = self._sign * angle + radians(self.settings.table_zero_deg)
-        return call("AlignPart", 1.0, 0.0, 0.0, cos(turned), sin(turned), 0.0, 0.0)
+        return make_call("AlignPart", 1.0, 0.0, 0.0, cos(turned), sin(turned), 0.0, 0.0)
 
     def stops(self, here: float, angle: float, approach: Approach) -> Sequence[float]:
         """Return the angles (rad) to go to, so that ``angle`` is reached from side ``approach``.
 
         AlignPart goes the shorter way round: none of its turns is longer than a third of a circle.
         """
-        way = approached(here, angle, approach, self.settings.overshoot_deg * DEGREE)
+        way = approach_angles(here, angle, approach, self.settings.overshoot_deg * DEGREE)
         if self.turn_by == ALIGN_PART:
             return [*_in_thirds(here, way[0]), *way[1:]]
         return list(way)
@@ -427,13 +427,13 @@ class _Transaction:
 
     def take(self, response: ResponseLine) -> None:
         match response.kind:
-            case Kind.ACCEPTED:
+            case ResponseKind.ACCEPTED:
                 self.accepted = True
-            case Kind.DONE:
+            case ResponseKind.DONE:
                 self.done = True
-            case Kind.ERROR:
+            case ResponseKind.ERROR:
                 self.faults.append(response.fault())
-            case Kind.DATA:
+            case ResponseKind.DATA:
                 if len(self.data) >= MOST_DATA:
                     raise ProtocolError(f"more than {MOST_DATA} data lines for one command")
                 self.data.append(response.text)
@@ -457,7 +457,7 @@ class DmeLink:
     ) -> None:
         self.address, self.reply_timeout_s = f"{host}:{port}", reply_timeout_s
         self._on_report, self._on_warning = on_report, on_warning
-        self._tags, self._lines = Tags(), LineBuffer()
+        self._tags, self._lines = TagCounter(), LineBuffer()
         self._pending: dict[str, _Transaction] = {}
         self._changed, self._sending = Condition(), Lock()
         self.broken = ""
@@ -562,7 +562,7 @@ class DmeLink:
     def _abort(self) -> None:
         """Stop a machine whose answers cannot be read; it may still listen."""
         with suppress(DmeError):
-            self._send(CommandLine(self._tags.event(), call("AbortE")))
+            self._send(CommandLine(self._tags.event(), make_call("AbortE")))
 
     def _receive(self) -> bytes:
         """Return what came, nothing at the end; the socket's time limit is for sending only."""
@@ -579,9 +579,9 @@ class DmeLink:
                 self._changed.notify_all()
                 return
         # Daemons report with the tag of the event that started them, long after its transaction.
-        if response.kind is Kind.DATA and response.tag.startswith("E"):
+        if response.kind is ResponseKind.DATA and response.tag.startswith("E"):
             self._on_report(response.tag, response.text)
-        elif response.kind is Kind.ERROR and response.tag == UNASKED:
+        elif response.kind is ResponseKind.ERROR and response.tag == UNASKED:
             self._on_warning(response.fault())
 
     def _break(self, why: str) -> None:

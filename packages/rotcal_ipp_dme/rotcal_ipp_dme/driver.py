@@ -250,16 +250,16 @@ class OrderRunner:
             return
         client.settle()
         number = count()
-        moves = around_ball(
+        moves = ball_touch_moves(
             order.position, step.ball_diameter, step.n_points, tip, s.approach_m, height
         )
         for move in moves:
             if given_up():
                 return
             match move:
-                case Go(x, y, z):
+                case MoveOrder(x, y, z):
                     client.go(x, y, z)
-                case Touch(nominal, direction):
+                case TouchOrder(nominal, direction):
                     stamp_ns, position = client.touch(nominal, direction)
                     yield self._sample(order, stamp_ns, position, next(number), tip)
 
@@ -291,7 +291,7 @@ _GOLDEN: Final = pi * (3.0 - sqrt(5.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Go:
+class MoveOrder:
     """Move the tip in a straight line; what is None stays as it is. Metres."""
 
     x: float | None
@@ -300,14 +300,14 @@ class Go:
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class TouchOrder:
     """Touch the surface at ``nominal`` (m) against ``direction``, which leads away from it."""
 
     nominal: Point
     direction: Point
 
 
-def upper_half(count: int) -> Iterator[Point]:
+def upper_half_directions(count: int) -> Iterator[Point]:
     """Yield ``count`` directions that cover the upper half of a ball evenly, unit vectors."""
     for number in range(count):
         height = (number + 0.5) / count
@@ -315,22 +315,22 @@ def upper_half(count: int) -> Iterator[Point]:
         yield flat * cos(number * _GOLDEN), flat * sin(number * _GOLDEN), height
 
 
-def around_ball(
+def ball_touch_moves(
     centre: Point, diameter: float, count: int, tip_radius: float, approach: float, height: float
-) -> Iterator[Go | Touch]:
+) -> Iterator[MoveOrder | TouchOrder]:
     """Yield the moves that touch a ball ``count`` times, from ``height`` (z, m) back to it.
 
     ``approach`` (m) is the distance from the surface at which a probing motion begins.
     """
     radius = 0.5 * diameter
     beside = radius + tip_radius + approach
-    for direction in upper_half(count):
+    for direction in upper_half_directions(count):
         nominal = _along(centre, direction, radius)
         start = _along(centre, direction, beside)
-        yield Go(start[0], start[1], height)
-        yield Go(None, None, start[2])
-        yield Touch(nominal, direction)
-        yield Go(None, None, height)
+        yield MoveOrder(start[0], start[1], height)
+        yield MoveOrder(None, None, start[2])
+        yield TouchOrder(nominal, direction)
+        yield MoveOrder(None, None, height)
 
 
 def _along(centre: Point, direction: Point, distance: float) -> Point:

@@ -23,12 +23,12 @@ from rotcal_ros.capture.publishers import RUN, unique_run_name
 from rotcal_ros.foundation.node_state import LOADING, NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import announced_plan, conversions
-from rotcal_ros.nodes.runtime.beat_values import BLOCKED, show
+from rotcal_ros.nodes.runtime.beat_values import BLOCKED, set_warning
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
@@ -97,7 +97,7 @@ class DmeAdapter(CellNode):
         self._orders.clear()
         self.health.beat()
         try:
-            self._plan = announced_plan.calibration_of(message).plan
+            self._plan = announced_plan.calibration_from_message(message).plan
         finally:
             self._loading = False
         if early is not None and early[0] == self._run:
@@ -134,7 +134,7 @@ class DmeAdapter(CellNode):
                 self._begin()
         self._follow_planner()
         blocked = self._driver.client.blocked
-        show(self.health, BLOCKED, None if blocked in UNBLOCKED else blocked + HOW_TO_GO_ON)
+        set_warning(self.health, BLOCKED, None if blocked in UNBLOCKED else blocked + HOW_TO_GO_ON)
 
     def _planners_run(self) -> str | None:
         """Return for which run of a plan the planner works; None: for none, or unknown."""
@@ -194,7 +194,7 @@ class DmeAdapter(CellNode):
 
 def main() -> None:
     """Run the adapter."""
-    run(DmeAdapter)
+    run_node(DmeAdapter)
 
 
 if __name__ == "__main__":

@@ -160,7 +160,7 @@ class Call:
     arguments: tuple[Value, ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.name}({', '.join(map(written, self.arguments))})"
+        return f"{self.name}({', '.join(map(format_value, self.arguments))})"
 
     def numbers(self) -> tuple[float, ...]:
         """Return the arguments; ProtocolError unless all of them are numbers."""
@@ -181,12 +181,12 @@ Value = float | str | Word | Call
 """A number, a text in quotes, a word, a call."""
 
 
-def call(name: str, *arguments: Value) -> Call:
+def make_call(name: str, *arguments: Value) -> Call:
     """Return a call; its whole numbers may be given as integers."""
     return Call(name, tuple(float(a) if isinstance(a, int) else a for a in arguments))
 
 
-def written(value: Value) -> str:
+def format_value(value: Value) -> str:
     """Return the text of a value for the wire; ProtocolError if there is none."""
     if isinstance(value, float):
         if not abs(value) <= LARGEST:
@@ -290,7 +290,7 @@ _TAG: Final = re.compile(r"(?!00000)\d{5}|E(?!0000)\d{4}")
 _RESPONSE: Final = re.compile(r"(\d{5}|E\d{4}) ([&%#!])(?: (.*))?")
 
 
-class Kind(Enum):
+class ResponseKind(Enum):
     """What a response line says."""
 
     ACCEPTED = "&"
@@ -304,7 +304,7 @@ class ResponseLine:
     """A line of a server; ``text`` holds its data or its error."""
 
     tag: str
-    kind: Kind
+    kind: ResponseKind
     text: str = ""
 
     def __str__(self) -> str:
@@ -335,9 +335,9 @@ class CommandLine:
 
 def error_line(tag: str, fault: DmeFault) -> ResponseLine:
     """Return the line that reports ``fault``."""
-    cause, text = written(fault.cause), written(fault.text)
+    cause, text = format_value(fault.cause), format_value(fault.text)
     words = f"Error({fault.severity}, {fault.number:04d}, {cause}, {text})"
-    return ResponseLine(tag, Kind.ERROR, words)
+    return ResponseLine(tag, ResponseKind.ERROR, words)
 
 
 def parse_response(line: str) -> ResponseLine:
@@ -347,7 +347,7 @@ def parse_response(line: str) -> ResponseLine:
         raise ProtocolError(
             f"the server sent a line that is not I++ DME: {line!r:.200}; check dme.port"
         )
-    return ResponseLine(found[1], Kind(found[2]), found[3] or "")
+    return ResponseLine(found[1], ResponseKind(found[2]), found[3] or "")
 
 
 def is_tag(text: str) -> bool:
@@ -355,7 +355,7 @@ def is_tag(text: str) -> bool:
     return _TAG.fullmatch(text) is not None
 
 
-class Tags:
+class TagCounter:
     """Tags for commands and for events, each counting up and beginning again."""
 
     def __init__(self) -> None:

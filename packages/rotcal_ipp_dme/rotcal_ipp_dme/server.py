@@ -30,18 +30,18 @@ from rotcal_ipp_dme.protocol import (
     CommandLine,
     DmeError,
     DmeFault,
-    Kind,
     LineBuffer,
     ProtocolError,
+    ResponseKind,
     ResponseLine,
     Value,
     Word,
-    call,
     calls_by_name,
     error_line,
+    format_value,
     is_tag,
+    make_call,
     parse_call,
-    written,
 )
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
@@ -106,7 +106,7 @@ class DmeServer:
             if writer.transport.get_write_buffer_size() > UNREAD:
                 writer.transport.abort()
 
-        conversation = Conversation(Methods(self.machine, self.version), write)
+        conversation = ServerSession(DmeMethods(self.machine, self.version), write)
         try:
             while received := await reader.read(RECEIVED):
                 conversation.take(received)
@@ -120,7 +120,7 @@ class DmeServer:
 
 
 @contextmanager
-def serving(server: DmeServer) -> Iterator[DmeServer]:
+def serve_in_thread(server: DmeServer) -> Iterator[DmeServer]:
     """Serve in a thread as long as the block lasts."""
     loop, ready = asyncio.new_event_loop(), Event()
     failed: list[Exception] = []
@@ -160,10 +160,10 @@ ALWAYS: Final = ("ClearAllErrors", "GetErrStatusE", "GetXtdErrStatus", "EndSessi
 WITHOUT_SESSION: Final = ("StartSession", "EndSession")
 
 
-class Conversation:
+class ServerSession:
     """Lines in by :meth:`take`, lines out through ``write``; ends with :meth:`end`."""
 
-    def __init__(self, methods: Methods, write: Callable[[bytes], None]) -> None:
+    def __init__(self, methods: DmeMethods, write: Callable[[bytes], None]) -> None:
         self._methods, self._write = methods, write
         self._lines = LineBuffer()
         self._session, self._in_error, self._ending = False, False, False
@@ -209,7 +209,7 @@ class Conversation:
         elif len(self._waiting) >= MOST_PENDING:
             self._refuse(tag, DmeFault.known(8, order.name))
         else:
-            self._say(ResponseLine(tag, Kind.ACCEPTED))
+            self._say(ResponseLine(tag, ResponseKind.ACCEPTED))
             self._waiting.append(CommandLine(tag, order))
             self._wake.set()
 
@@ -226,7 +226,7 @@ class Conversation:
         self._current = asyncio.create_task(self._answer(order))
         try:
             for line in await self._current:
-                self._say(ResponseLine(tag, Kind.DATA, line))
+                self._say(ResponseLine(tag, ResponseKind.DATA, line))
             for fault in self._methods.warnings:
                 self._say(error_line(tag, fault))
         except MethodError as refused:
@@ -241,7 +241,7 @@ class Conversation:
         finally:
             self._current = None
             self._methods.warnings.clear()
-        self._say(ResponseLine(tag, Kind.DONE))
+        self._say(ResponseLine(tag, ResponseKind.DONE))
 
     async def _answer(self, order: Call) -> list[str]:
         """Carry out a command if the state allows it, and return its data."""
@@ -258,7 +258,7 @@ class Conversation:
             case "GetErrorInfo":
                 return error_info(order)
             case "GetXtdErrStatus":
-                return [written(value) for value in self._status()]
+                return [format_value(value) for value in self._status()]
             case "StopDaemon":
                 return self._stop_daemon(order)
             case "StopAllDaemons":
@@ -279,11 +279,14 @@ class Conversation:
 
     def _status(self) -> list[Value]:
         machine = self._methods.machine
-        return [call("IsHomed", int(machine.homed)), call("ErrStatus", int(self._in_error))]
+        return [
+            make_call("IsHomed", int(machine.homed)),
+            make_call("ErrStatus", int(self._in_error)),
+        ]
 
     def _do_at_once(self, tag: str, order: Call) -> None:
         """Do a command of the fast queue."""
-        self._say(ResponseLine(tag, Kind.ACCEPTED))
+        self._say(ResponseLine(tag, ResponseKind.ACCEPTED))
         try:
             if not self._session:
                 raise MethodError(8, order.name)
@@ -292,8 +295,8 @@ class Conversation:
                     asyncio.get_running_loop().create_task(self._abort(tag))
                     return
                 case "GetErrStatusE":
-                    answer = call("ErrStatus", int(self._in_error))
-                    self._say(ResponseLine(tag, Kind.DATA, written(answer)))
+                    answer = make_call("ErrStatus", int(self._in_error))
+                    self._say(ResponseLine(tag, ResponseKind.DATA, format_value(answer)))
                 case "OnMoveReportE":
                     self._start_daemon(tag, order)
                 case _:
@@ -302,7 +305,7 @@ class Conversation:
             self._fail(tag, refused.fault)
         except ProtocolError:
             self._fail(tag, DmeFault.known(509, order.name))
-        self._say(ResponseLine(tag, Kind.DONE))
+        self._say(ResponseLine(tag, ResponseKind.DONE))
 
     async def _abort(self, tag: str) -> None:
         """End running and waiting commands, then report that."""
@@ -315,7 +318,7 @@ class Conversation:
                 await current
             await asyncio.sleep(0)  # the worker reports it first
         self._say_aborted(waiting)
-        self._say(ResponseLine(tag, Kind.DONE))
+        self._say(ResponseLine(tag, ResponseKind.DONE))
 
     def _start_daemon(self, tag: str, order: Call) -> None:
         if self._in_error or tag in self._daemons or len(self._daemons) >= MOST_DAEMONS:
@@ -337,7 +340,7 @@ class Conversation:
             await asyncio.sleep(period_s)
             if self._methods.machine.moving:
                 standing = self._methods.standing(positions, "OnMoveReportE")
-                self._say(ResponseLine(tag, Kind.DATA, standing))
+                self._say(ResponseLine(tag, ResponseKind.DATA, standing))
 
     def _stop_daemon(self, order: Call) -> list[str]:
         match order.arguments:
@@ -362,12 +365,12 @@ class Conversation:
     def _say_aborted(self, commands: list[CommandLine]) -> None:
         for command in commands:
             self._say(error_line(command.tag, DmeFault.known(6, command.call.name)))
-            self._say(ResponseLine(command.tag, Kind.DONE))
+            self._say(ResponseLine(command.tag, ResponseKind.DONE))
 
     def _refuse(self, tag: str, fault: DmeFault) -> None:
         """Answer a line that is not a command."""
         self._fail(tag, fault)
-        self._say(ResponseLine(tag, Kind.DONE))
+        self._say(ResponseLine(tag, ResponseKind.DONE))
 
     def _say(self, response: ResponseLine) -> None:
         self._write(str(response).encode("ascii") + END)
@@ -381,7 +384,7 @@ RANGES: Final = {"Approach": (0.0, 100.0), "Search": (0.0, 100.0), "Retract": (-
 PROBING_PREFIX: Final = "Tool.PtMeasPar."
 
 
-class Methods:
+class DmeMethods:
     """The methods of a session; ``report`` lists what PtMeas answers.
 
     Every method takes its arguments and returns data lines, or raises MethodError. ``warnings``
@@ -410,10 +413,10 @@ class Methods:
         self._answers: Mapping[str, Callable[[], Sequence[Value]]] = {
             "EnumTools": lambda: TOOLS,
             "GetCoordSystem": lambda: [Call("CoordSystem", (Word(self.system),))],
-            "GetDMEVersion": lambda: [call("DMEVersion", self.version)],
-            "GetMachineClass": lambda: [call("GetMachineClass", "CartCMMWithRotaryTable")],
-            "IsHomed": lambda: [call("IsHomed", int(self.machine.homed))],
-            "IsUserEnabled": lambda: [call("IsUserEnabled", int(self.user))],
+            "GetDMEVersion": lambda: [make_call("DMEVersion", self.version)],
+            "GetMachineClass": lambda: [make_call("GetMachineClass", "CartCMMWithRotaryTable")],
+            "IsHomed": lambda: [make_call("IsHomed", int(self.machine.homed))],
+            "IsUserEnabled": lambda: [make_call("IsUserEnabled", int(self.user))],
             "EnableUser": lambda: self._let_user(True),
             "DisableUser": lambda: self._let_user(False),
         }
@@ -424,10 +427,10 @@ class Methods:
             if order.name in self._answers:
                 if order.arguments:
                     raise MethodError(502, order.name)
-                return [written(value) for value in self._answers[order.name]()]
+                return [format_value(value) for value in self._answers[order.name]()]
             if order.name not in self._known:
                 raise MethodError(501, order.name)
-            return [written(value) for value in await self._known[order.name](order)]
+            return [format_value(value) for value in await self._known[order.name](order)]
         except ProtocolError as error:
             raise MethodError(509, order.name) from error
 
@@ -443,7 +446,7 @@ class Methods:
         names = [value.name for value in asked if isinstance(value, Call) and not value.arguments]
         if not asked or len(names) < len(asked) or not set(names) <= found.keys():
             raise MethodError(509 if cause == "Get" else 510, cause)
-        return ", ".join(written(Call(name, (found[name],))) for name in names)
+        return ", ".join(format_value(Call(name, (found[name],))) for name in names)
 
     async def _get(self, order: Call) -> list[Value]:
         return [Word(self.standing(order.arguments, "Get"))]
@@ -466,7 +469,7 @@ class Methods:
         part, machine = np.array(numbers[:3]), np.array(numbers[3:6])
         await self.machine.align(part, machine)
         reached = [*_flat(part), *_flat(machine)]
-        return [Word(f"({', '.join(written(value) for value in reached)})")]
+        return [Word(f"({', '.join(format_value(value) for value in reached)})")]
 
     async def _pt_meas(self, order: Call) -> list[Value]:
         by_name = calls_by_name(order.arguments)
@@ -499,7 +502,7 @@ class Methods:
         raise MethodError(1502, order.name)
 
     async def _enum_all_prop(self, order: Call) -> list[Value]:
-        if [written(argument) for argument in order.arguments] != ["Tool()"]:
+        if [format_value(argument) for argument in order.arguments] != ["Tool()"]:
             raise MethodError(509, order.name)
         names = [*(f"PtMeasPar.{name}" for name in PROBING), "AvrRadius"]
         kinds = [Word(f'"{name}", "Number"') for name in names]
@@ -518,7 +521,7 @@ class Methods:
         plain = {name: name.removesuffix(".Act") for name in asked}
         if not set(plain.values()) <= found.keys():
             raise MethodError(510, order.name)
-        line = ", ".join(written(Call(name, (found[plain[name]],))) for name in asked)
+        line = ", ".join(format_value(Call(name, (found[plain[name]],))) for name in asked)
         return [Word(line)]
 
     async def _set_prop(self, order: Call) -> list[Value]:
@@ -564,7 +567,7 @@ def error_info(order: Call) -> list[str]:
     number = int(order.number())
     if number not in KNOWN:
         raise MethodError(509, order.name)
-    return [written(KNOWN[number][1])]
+    return [format_value(KNOWN[number][1])]
 
 
 def _flat(vector: Floats) -> list[float]:
@@ -595,7 +598,7 @@ class MethodError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Probing:
+class ProbingDistances:
     """How a tip probes, m: begins before a surface, ends behind it, goes back from it."""
 
     approach: float = 0.002
@@ -620,7 +623,7 @@ class SimulatedMachine:
         self._cell = cell
         self._looked_s = time.monotonic()
         self._reported = 0
-        self.probing = Probing()
+        self.probing = ProbingDistances()
         self.homed, self.moving = False, False
         touch_probe = getattr(settings, "touch_probe", None)
         self.tip_radius = float(getattr(touch_probe, "tip_radius_m", 0.0))

@@ -134,14 +134,14 @@ def read_orders(path: Path) -> None:
 
 
 async def _converse(data: bytes) -> list[bytes]:
-    from rotcal_ipp_dme.server import Conversation, Methods, SimulatedMachine
+    from rotcal_ipp_dme.server import DmeMethods, ServerSession, SimulatedMachine
 
     said: list[bytes] = []
     failed: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: failed.append(context))
     method, settings = _configuration().method, _configuration().simulation
     machine = SimulatedMachine(method.simulated_cell(settings, time.time_ns()))
-    conversation = Conversation(Methods(machine, "1.4.3"), said.append)
+    conversation = ServerSession(DmeMethods(machine, "1.4.3"), said.append)
     try:
         conversation.take(data)
         await asyncio.sleep(IDLE_S)

@@ -11,7 +11,11 @@ pytest.importorskip("rotcal_msgs")
 from test_check_drivers import heard
 
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.nodes.check.snapshot import brought, brought_line, driver_lines
+from rotcal_ros.nodes.check.snapshot import (
+    absent_driver_line,
+    driver_lines,
+    roles_of_absent_drivers,
+)
 
 DME = read_configuration(Path(__file__).parents[1] / "config" / "ball_plate_dme.yaml")
 
@@ -29,7 +33,7 @@ def test_a_machine_that_listens_is_there_and_nothing_is_said_to_it(server):
     connection, _ = server.accept()
     assert connection.recv(100) == b""  # hung up without a word
     roles = ("joint_states", "probe_point", "table_angle", "probe_target")
-    assert brought(cell) == {role: ["dme_adapter"] for role in roles}
+    assert roles_of_absent_drivers(cell) == {role: ["dme_adapter"] for role in roles}
 
 
 def test_nobody_at_the_address_is_missing_with_what_to_do(server):
@@ -49,20 +53,20 @@ def test_a_driver_that_is_here_is_asked_for_nothing():
         "note",
         "node dme_adapter is here and talks to 127.0.0.1:1294",
     )
-    assert brought(cell) == {}
+    assert roles_of_absent_drivers(cell) == {}
 
 
 def test_two_drivers_for_one_table_are_one_too_many():
     cell = heard(changed(DME, ["table_adapter.controller=/drive"]))
-    line = brought_line(cell, "table", "joint_states", "publishes it")
+    line = absent_driver_line(cell, "table", "joint_states", "publishes it")
     assert (line.state, line.found) == (
         "missing", "table_adapter and dme_adapter would both do it"
     )  # fmt: skip
-    line = brought_line(cell, "probe", "probe_point", "publishes it")
+    line = absent_driver_line(cell, "probe", "probe_point", "publishes it")
     assert (line.state, line.found) == (
         "note", "rotcal run starts dme_adapter, which publishes it"
     )  # fmt: skip
-    assert brought_line(cell, "air", "temperature", "publishes it") is None
+    assert absent_driver_line(cell, "air", "temperature", "publishes it") is None
 
 
 def test_a_host_that_can_have_no_address_is_missing_too():

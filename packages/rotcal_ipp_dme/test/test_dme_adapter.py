@@ -108,7 +108,7 @@ def made(monkeypatch):
         name = message.plan_id
         return SimpleNamespace(plan=SimpleNamespace(step=lambda index: f"{name}, step {index}"))
 
-    monkeypatch.setattr(dme_adapter.announced_plan, "calibration_of", calibration_of)
+    monkeypatch.setattr(dme_adapter.announced_plan, "calibration_from_message", calibration_of)
     return Adapter()
 
 

@@ -5,7 +5,7 @@ import pytest
 from dme_plates import measure, simulated_cell, small
 from known_truth import require_injected_truth
 
-from rotcal_ipp_dme.server import DmeServer, serving
+from rotcal_ipp_dme.server import DmeServer, serve_in_thread
 from rotcal_ros.foundation.components import COMPONENTS
 
 pytestmark = pytest.mark.slow
@@ -31,7 +31,7 @@ def by_orders(calibration):
 def solved():
     """Return calibration, the result through TCP and the one through orders."""
     calibration = small()
-    with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
+    with serve_in_thread(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
         through_tcp = measure(calibration, server.port)
     assert [o.reason for o in through_tcp if not o.accepted] == []
     assert len(through_tcp) == len(calibration.plan.steps)
@@ -63,6 +63,8 @@ def test_a_table_turned_by_goto_measures_too(version, others, monkeypatch):
     calibration = small()
     if others:  # a machine whose R counts the other way round
         monkeypatch.setattr("rotcal_ipp_dme.server.DEGREE", -np.pi / 180.0)
-    with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0, version)) as server:
+    with serve_in_thread(
+        DmeServer(simulated_cell(calibration), "127.0.0.1", 0, version)
+    ) as server:
         observations = measure(calibration, server.port, steps=4, **others)
     assert [o.reason for o in observations] == [""] * 4

@@ -11,7 +11,7 @@ import pytest
 from dme_plates import DEMO, measure, simulated_cell
 from known_truth import require_injected_truth
 
-from rotcal_ipp_dme.server import DmeServer, serving
+from rotcal_ipp_dme.server import DmeServer, serve_in_thread
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
@@ -22,7 +22,7 @@ ONE_BALL = DEMO.with_name("table_balls_demo.yaml")
 def test_touches_through_tcp_find_the_axis_and_the_deviations():
     changes = ("simulation.time_scale=1000.0", "capture.temperature_expected=false")
     calibration = prepare(changed(read_configuration(ONE_BALL), changes))
-    with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
+    with serve_in_thread(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
         touched = measure(calibration, server.port)
     assert [o.reason for o in touched if not o.accepted] == []
     result = calibration.solve(touched)

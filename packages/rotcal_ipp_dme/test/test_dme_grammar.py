@@ -8,18 +8,18 @@ from rotcal_ipp_dme.protocol import (
     LONGEST,
     Call,
     DmeError,
-    Kind,
     LineBuffer,
     ProtocolError,
+    ResponseKind,
     ResponseLine,
-    Tags,
+    TagCounter,
     Word,
-    call,
+    format_value,
     is_tag,
+    make_call,
     parse_call,
     parse_response,
     parse_values,
-    written,
 )
 
 
@@ -64,19 +64,19 @@ def test_what_is_no_call_is_refused_in_a_sentence(text):
 
 
 def test_numbers_are_written_as_the_grammar_has_them():
-    assert written(1.0) == "1"
-    assert written(-0.0) == "0"
-    assert written(-123.456789012) == "-123.456789012"
-    assert written(1e-9) == "0.000000001"
+    assert format_value(1.0) == "1"
+    assert format_value(-0.0) == "0"
+    assert format_value(-123.456789012) == "-123.456789012"
+    assert format_value(1e-9) == "0.000000001"
     for impossible in (1e7, float("nan"), float("inf")):
         with pytest.raises(ProtocolError):
-            written(impossible)
-    assert str(call("AlignPart", 1, 0, 0.5)) == "AlignPart(1, 0, 0.5)"
+            format_value(impossible)
+    assert str(make_call("AlignPart", 1, 0, 0.5)) == "AlignPart(1, 0, 0.5)"
 
 
 @given(st.floats(-1e6, 1e6))
 def test_a_number_comes_back_within_half_a_picometre(number):
-    (read,) = parse_values(written(number))
+    (read,) = parse_values(format_value(number))
     assert abs(read - number) <= 0.5001e-9 + 1e-15 * abs(number)
 
 
@@ -88,7 +88,7 @@ def test_errors_are_read_as_the_specification_and_as_servers_write_them():
     fault = parse_response(quoted).fault()
     assert (fault.number, fault.text, fault.stops) == (504, "Argument out of range", False)
     with pytest.raises(ProtocolError, match="severity, number, cause, text"):
-        ResponseLine("00001", Kind.ERROR, "Error(3)").fault()
+        ResponseLine("00001", ResponseKind.ERROR, "Error(3)").fault()
 
 
 def test_tags_are_five_characters_and_count_round():
@@ -96,7 +96,7 @@ def test_tags_are_five_characters_and_count_round():
     assert [is_tag(t) for t in ("04711", "01710", "00020")] == [True] * 3
     assert [is_tag(t) for t in ("20", "00000", "E0000", "E20", "A4711")] == [False] * 5
     assert [is_tag(t) for t in ("E3333", "E0456")] == [True] * 2
-    tags = Tags()
+    tags = TagCounter()
     commands = [tags.command() for _ in range(100_000)]
     assert (commands[0], commands[99_998], commands[99_999]) == ("00001", "99999", "00001")
     events = [tags.event() for _ in range(10_000)]
@@ -122,7 +122,7 @@ def test_lines_that_none_sends_are_refused(harm):
 
 
 def values_again(values):
-    return ", ".join(map(written, values)) or "()"  # no values are a line, too
+    return ", ".join(map(format_value, values)) or "()"  # no values are a line, too
 
 
 LINES = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=300) | st.text(

@@ -5,8 +5,8 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from rotcal_ipp_dme.client import TableAxis, standing_of, way_to_turn
-from rotcal_ipp_dme.driver import Go, Touch, around_ball
+from rotcal_ipp_dme.client import TableAxis, parse_position, table_turn_method
+from rotcal_ipp_dme.driver import MoveOrder, TouchOrder, ball_touch_moves
 from rotcal_ipp_dme.protocol import DmeError, ProtocolError
 from rotcal_ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach
@@ -18,10 +18,10 @@ def axis(turn_by="goto_r", **settings):
 
 
 def test_the_version_says_how_a_table_is_turned_unless_a_setting_does():
-    assert [way_to_turn(v) for v in ("1.4.3", "1.4", "1.70")] == ["align_part"] * 3
-    assert [way_to_turn(v) for v in ("2.0", "2.5", "2")] == ["goto_r"] * 3
+    assert [table_turn_method(v) for v in ("1.4.3", "1.4", "1.70")] == ["align_part"] * 3
+    assert [table_turn_method(v) for v in ("2.0", "2.5", "2")] == ["goto_r"] * 3
     with pytest.raises(DmeError, match=r"set dme\.turn_by to goto_r or align_part"):
-        way_to_turn("two")
+        table_turn_method("two")
 
 
 def test_angles_become_r_with_zero_and_sign():
@@ -71,26 +71,26 @@ def test_speed_is_that_over_the_time_asked_for():
 
 
 def test_a_report_is_millimetres_and_degrees():
-    standing = standing_of("Z(3), X(1000), R(90), Y(-2.5)", "Get")
+    standing = parse_position("Z(3), X(1000), R(90), Y(-2.5)", "Get")
     assert standing.position == pytest.approx((1.0, -0.0025, 0.003))
     assert standing.r_deg == 90.0
     with pytest.raises(ProtocolError, match="Get: no Y, R in"):
-        standing_of("X(1), Z(2)", "Get")
+        parse_position("X(1), Z(2)", "Get")
 
 
 def test_no_way_leads_through_the_ball_and_every_touch_comes_from_outside():
     centre, diameter, tip, approach = np.array([0.1, -0.2, 0.03]), 0.025, 0.0015, 0.002
     reach, height = 0.5 * diameter + tip, 0.1
     here, touches = np.array([0.0, 0.0, height]), 0
-    for move in around_ball(tuple(centre), diameter, 15, tip, approach, height):
-        if isinstance(move, Go):
+    for move in ball_touch_moves(tuple(centre), diameter, 15, tip, approach, height):
+        if isinstance(move, MoveOrder):
             given = (move.x, move.y, move.z)
             there = np.array([h if g is None else g for g, h in zip(given, here, strict=True)])
             way = here + np.linspace(0.0, 1.0, 200)[:, None] * (there - here)
             assert np.linalg.norm(way - centre, axis=1).min() > reach - 1e-9
             here = there
             continue
-        assert isinstance(move, Touch)
+        assert isinstance(move, TouchOrder)
         touches += 1
         direction = np.array(move.direction)
         assert np.linalg.norm(direction) == pytest.approx(1.0)

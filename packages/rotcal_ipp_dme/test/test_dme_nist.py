@@ -12,7 +12,7 @@ from aids import nist_suite
 from dme_plates import measure, simulated_cell, small
 
 from rotcal_ipp_dme.client import DmeLink
-from rotcal_ipp_dme.server import DmeServer, serving
+from rotcal_ipp_dme.server import DmeServer, serve_in_thread
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 BUILD_S = 120
@@ -65,7 +65,7 @@ def wire():
     patch.setattr(DmeLink, "_send", listen_to_commands)
     patch.setattr(DmeLink, "_take", listen_to_answers)
     calibration = small("plan.points_per_ball=5")
-    with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
+    with serve_in_thread(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
         measure(calibration, server.port, steps=4, tool="Probe1")
     patch.undo()
     return said, answered
@@ -97,7 +97,7 @@ def test_commands_that_nist_gives_as_examples_end_with_an_answer(suite, parsers)
     examples = suite / "ParserCmdPC" / "test_files" / "allCmdOK.prg"
     commands = [c for c in examples.read_text().split("\n") if c[:1].isdigit() or c[:1] == "E"]
     calibration = small()
-    with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
+    with serve_in_thread(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
         for command in commands:
             with socket.create_connection(("127.0.0.1", server.port), 10.0) as connection:
                 begin = "00001 StartSession()\r\n00002 Home()\r\n"

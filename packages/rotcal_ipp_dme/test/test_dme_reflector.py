@@ -15,7 +15,7 @@ from known_truth import require_truth
 
 from rotcal_ipp_dme.client import DmeClient
 from rotcal_ipp_dme.driver import OrderRunner
-from rotcal_ipp_dme.server import DmeServer, serving
+from rotcal_ipp_dme.server import DmeServer, serve_in_thread
 from rotcal_ros.foundation.observations import LengthStatus, PointKind, TracerSample
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
@@ -82,7 +82,7 @@ class Session:
 @pytest.mark.slow
 def test_reflector_positions_through_tcp_find_the_truth(own):
     calibration = prepare(changed(read_configuration(OWN / "own_cell.yaml"), CHANGES))
-    with serving(DmeServer(simulated_cell(small()), "127.0.0.1", 0)) as server:
+    with serve_in_thread(DmeServer(simulated_cell(small()), "127.0.0.1", 0)) as server:
         session = Session(calibration, server.port, own)
         found = [session.measured(step) for step in calibration.plan.steps]
         session.client.close()

@@ -6,8 +6,8 @@ import socket
 import pytest
 from dme_plates import simulated_cell, small
 
-from rotcal_ipp_dme.protocol import Kind, parse_response
-from rotcal_ipp_dme.server import DmeServer, serving
+from rotcal_ipp_dme.protocol import ResponseKind, parse_response
+from rotcal_ipp_dme.server import DmeServer, serve_in_thread
 from rotcal_ros.foundation.errors import ControllerError
 
 BEGIN = ("00001 StartSession()", "00002 Home()")
@@ -43,7 +43,7 @@ class Talk:
 @pytest.fixture(scope="module")
 def port():
     cell = simulated_cell(small("simulation.time_scale=5.0"))
-    with serving(DmeServer(cell, "127.0.0.1", 0)) as server:
+    with serve_in_thread(DmeServer(cell, "127.0.0.1", 0)) as server:
         yield server.port
 
 
@@ -141,7 +141,7 @@ def test_a_moving_machine_reports_until_it_is_told_not_to(talk):
     heard = client.ask("00004 GoTo(X(-900))")
     reports = [parse_response(line) for line in heard if line.startswith("E0553")]
     assert len(reports) >= 2
-    assert {r.kind for r in reports} == {Kind.DATA}
+    assert {r.kind for r in reports} == {ResponseKind.DATA}
     assert all(r.text.startswith("X(") and ", R(" in r.text for r in reports)
     client.ask("00005 StopDaemon(E0553)")
     assert [line for line in client.ask("00006 GoTo(X(0))") if line.startswith("E")] == []
@@ -194,6 +194,6 @@ def test_a_port_that_is_taken_is_told(port):
     cell = simulated_cell(small())
     with (
         pytest.raises(ControllerError, match=f"cannot listen at 127.0.0.1:{port}"),
-        serving(DmeServer(cell, "127.0.0.1", port)),
+        serve_in_thread(DmeServer(cell, "127.0.0.1", port)),
     ):
         pass

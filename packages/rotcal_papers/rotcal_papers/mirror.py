@@ -22,7 +22,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.geometry.rotations import align, wrap_angle
+from rotcal_ros.geometry.rotations import fit_rigid_transform, wrap_angle
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.plane_mirror.plan import (
     mirror_plan,
@@ -79,10 +79,10 @@ class Recipes:
 def reproduce() -> Reproduction:
     """Return the paper's two ways and its closure, computed again."""
     truth = true_errors()
-    problem = measured(truth, np.random.default_rng(SEED))
+    problem = simulate_points(truth, np.random.default_rng(SEED))
     ours = {way: solve(replace(problem, way=way)) for way in OURS}
     normals, frames = _seen_normals(problem)
-    printed = recipes(normals[None], frames[None])
+    printed = apply_recipes(normals[None], frames[None])
     scattered = spread_of_recipes()
     values = _values(truth, ours, printed, scattered)
     return Reproduction.of(
@@ -101,7 +101,7 @@ def true_errors() -> Floats:
     return ARCSEC * (4.0 * np.cos(a + 0.3) + 1.5 * np.cos(2 * a - 1.3) + 0.6 * np.cos(4 * a + 2.4))
 
 
-def measured(errors: Floats, rng: np.random.Generator) -> PlaneMirrorProblem:
+def simulate_points(errors: Floats, rng: np.random.Generator) -> PlaneMirrorProblem:
     """Return all points of the experiment, one reflector at each position, with usual noise."""
     see, observations = tracker_sees(SETTINGS), list[Observation]()
     for step in mirror_plan(SETTINGS).steps:
@@ -118,11 +118,11 @@ def _seen_normals(problem: PlaneMirrorProblem) -> tuple[Floats, Floats]:
     kind, xyz = problem.kind, problem.xyz
     across = xyz[kind == PointKind.DIRECT] - xyz[kind == PointKind.MIRRORED]
     seen = xyz[kind == PointKind.NEST].reshape(len(STANDS), -1, 3)
-    frames = align(seen, seen[:1])[0]
+    frames = fit_rigid_transform(seen, seen[:1])[0]
     return across / np.linalg.norm(across, axis=1, keepdims=True), frames
 
 
-def recipes(normals: Floats, frames: Floats) -> Recipes:
+def apply_recipes(normals: Floats, frames: Floats) -> Recipes:
     """Return what the two ways make of ``normals`` (t, 22, 3) and ``frames`` (t, 6, 3, 3).
 
     The paper's errors are commanded - measured, its angles arccos without a sense; here the sign
@@ -137,7 +137,7 @@ def recipes(normals: Floats, frames: Floats) -> Recipes:
     cone = np.average([height for _, height in cones], axis=0, weights=counts)
     last, axis = parts[-1], axis_of_two(parts[-1], cone, sent[-1])
     stitched, bare = (np.zeros((len(normals), len(angles()))) for _ in range(2))
-    for curve, of_last in ((stitched, azimuths(last, axis)), (bare, between(last))):
+    for curve, of_last in ((stitched, azimuths(last, axis)), (bare, angles_between(last))):
         for turned, stand in zip((*seen, of_last), STANDS, strict=True):
             curve[:, list(stand.visit)] = turned + curve[:, [stand.visit[0]]]
     together = np.concatenate(
@@ -151,7 +151,7 @@ def recipes(normals: Floats, frames: Floats) -> Recipes:
     return Recipes(*(wrap_angle(found - angles()) for found in (registered, stitched, bare)))
 
 
-def between(normals: Floats) -> Floats:
+def angles_between(normals: Floats) -> Floats:
     """Return the angles (t, k) between each of ``normals`` (t, k, 3) and the first, in space."""
     cosine = np.einsum("ti,tki->tk", normals[:, 0], normals)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -160,14 +160,14 @@ def between(normals: Floats) -> Floats:
 def spread_of_recipes() -> Recipes:
     """Return the rms error of each recipe at each position (17,), rad, by RUNS simulations."""
     rng = np.random.default_rng(SEED)
-    exact = cone(angles()[[i for stand in STANDS for i in stand.visit]], MIRROR.lean)
+    exact = normals_on_cone(angles()[[i for stand in STANDS for i in stand.visit]], MIRROR.lean)
     normals = exact + NORMAL_STD * rng.standard_normal((RUNS, *exact.shape))
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     nests = np.reshape(SETTINGS.nests_m, (-1, 3))
     seen = np.array([nests - stand.place for stand in STANDS])
     scattered = seen + NEST_STD * rng.standard_normal((RUNS, *seen.shape))
-    frames = align(scattered, scattered[:, :1])[0]
-    found = recipes(normals, frames)
+    frames = fit_rigid_transform(scattered, scattered[:, :1])[0]
+    found = apply_recipes(normals, frames)
     return Recipes(
         *(
             np.sqrt((errors**2).mean(axis=0))
@@ -181,7 +181,7 @@ def _values(
 ) -> dict[str, float]:
     closing = len(truth) - 1
     lean = MIRROR.lean
-    two_flat = between(cone(np.array([0.0, STEP]), lean)[None])[0, 1]
+    two_flat = angles_between(normals_on_cone(np.array([0.0, STEP]), lean)[None])[0, 1]
     values = {
         "registration_rms_arcsec": scattered.registration[1:].mean(),
         "registration_last_arcsec": scattered.registration[closing],
@@ -286,7 +286,7 @@ def draw_spread(scattered: Recipes) -> str:
     return style.svg(ax)
 
 
-def cone(turned: Floats, lean: float) -> Floats:
+def normals_on_cone(turned: Floats, lean: float) -> Floats:
     """Return normals (k, 3) that are ``turned`` by (k,) and ``lean`` out of the plane, rad."""
     across = np.cos(lean)
     return np.column_stack(

@@ -26,7 +26,7 @@ from rotcal_ros.methods.tracer.solver.circle import (
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.stations import StationProblem, solve
-from rotcal_ros.planning.points import block
+from rotcal_ros.planning.points import serpentine_grid
 
 TABLE_1_MM: Final = (
     (-64.9938, -6.6256, 122.5146, 1128.5363),
@@ -157,7 +157,7 @@ def _predicted(stations: Floats, centre: Floats, *, shared: bool = False) -> flo
 def _block(centre: Floats) -> Floats:
     """Return the 64 targets of the block as our plans have them: a serpentine in each layer."""
     x, y, z = centre.tolist()
-    return np.array(block((x, y, z), BLOCK_M, (PER_SIDE, PER_SIDE, PER_SIDE)))
+    return np.array(serpentine_grid((x, y, z), BLOCK_M, (PER_SIDE, PER_SIDE, PER_SIDE)))
 
 
 def _values(found: _Found) -> dict[str, float]:

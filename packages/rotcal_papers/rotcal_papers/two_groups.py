@@ -38,7 +38,7 @@ AUTOCOLLIMATOR_STD: Final = 0.1 * ARCSEC
 def reproduce() -> Reproduction:
     """Return the paper's figures and claims, computed again."""
     twelve, six = (measured_means(balls) for balls in (TWELVE, SIX))
-    reference = autocollimator()
+    reference = autocollimator_readings()
     values = _values(twelve, six, reference)
     curves = {"12 balls": curve_of(twelve), "6 balls in two groups": curve_of(six)}
     return Reproduction.of(
@@ -46,7 +46,7 @@ def reproduce() -> Reproduction:
     )
 
 
-def problems(balls: tuple[int, ...]) -> list[BallPlateProblem]:
+def make_problems(balls: tuple[int, ...]) -> list[BallPlateProblem]:
     """Return the repeated measurements with these ``balls``, each newly set up."""
     return [
         PlateMeasurement(GRID, balls, seed=100 * len(balls) + k).problem(separate_groups=True)
@@ -56,7 +56,7 @@ def problems(balls: tuple[int, ...]) -> list[BallPlateProblem]:
 
 def measured_means(balls: tuple[int, ...]) -> list[Result]:
     """Return the results of the repeats."""
-    return [solve(problem) for problem in problems(balls)]
+    return [solve(problem) for problem in make_problems(balls)]
 
 
 def mean_of(results: list[Result], name: str) -> Floats:
@@ -69,7 +69,7 @@ def curve_of(results: list[Result]) -> tuple[Floats, dict[str, Floats]]:
     return results[0].angles, {name: mean_of(results, name) for name in COMPONENTS}
 
 
-def autocollimator() -> Floats:
+def autocollimator_readings() -> Floats:
     """Return what an autocollimator reads of the table (n,), rad, on calibrated faces."""
     rng = np.random.default_rng(24)
     truth = true_deviations(grid_angles(GRID))["ECC"]
@@ -95,16 +95,16 @@ def _values(twelve: list[Result], six: list[Result], reference: Floats) -> dict[
         "tilt_x_arcsec": apart("EAC") / ARCSEC,
         "tilt_y_arcsec": apart("EBC") / ARCSEC,
         "ecc_arcsec": apart("ECC") / ARCSEC,
-        "exact_xy_um": lost_in_groups() / MICROMETRE,
+        "exact_xy_um": group_bias() / MICROMETRE,
         "plane_variance": variance_ratio("EXC"),
         "axial_variance": variance_ratio("ECC"),
-        "closed_form_apart": closed_form_apart(problems(TWELVE)[0]),
-        "radius_share": radius_share(problems(TWELVE)[0]),
+        "closed_form_apart": closed_form_apart(make_problems(TWELVE)[0]),
+        "radius_share": radius_share(make_problems(TWELVE)[0]),
         "reference_arcsec": float(np.abs(off - off.mean()).max()) / ARCSEC,
         "u_reference_arcsec": u_off / ARCSEC,
         "en_printed": 3.9 * ARCSEC / u_off,
         "offset_arcsec": float(curve[::2].mean() - curve[1::2].mean()) / ARCSEC,
-        "lost_z_um": lost_offset("EZC") / MICROMETRE,
+        "lost_z_um": unseen_group_offset("EZC") / MICROMETRE,
     }
     return {name: float(value) for name, value in values.items()}
 
@@ -131,7 +131,7 @@ def variance_ratio(name: str) -> float:
     return float((of_group / of_whole)[COMPONENTS.index(name)] ** 2)
 
 
-def lost_in_groups() -> float:
+def group_bias() -> float:
     """Return by how much groups differ from the whole in EXC and EYC without any noise, m."""
     whole, groups = (
         solve(PlateMeasurement(GRID, balls, seed=1, noisy=False).problem(separate_groups=True))
@@ -143,7 +143,7 @@ def lost_in_groups() -> float:
     )
 
 
-def lost_offset(name: str) -> float:
+def unseen_group_offset(name: str) -> float:
     """Return the true offset between even and odd positions, which no group of balls shows."""
     truth = true_deviations(grid_angles(GRID))[name]
     return abs(float(truth[::2].mean() - truth[1::2].mean()))

@@ -116,7 +116,7 @@ def test_two_normals_have_no_plane_and_the_cone_is_the_cure(made):
     lean, step = 1.4 * DEGREE, 22.5 * DEGREE
     inside = np.arccos(np.cos(lean) ** 2 * np.cos(step) + np.sin(lean) ** 2)
     assert found["bare_closure_arcsec"] == pytest.approx((inside - step) / ARCSEC, rel=1e-9)
-    one = mirror.cone(np.array([0.2, 0.2 + step]), lean)[None]
+    one = mirror.normals_on_cone(np.array([0.2, 0.2 + step]), lean)[None]
     axis = mirror.axis_of_two(one, np.array([np.sin(lean)]), np.array([0.2, 0.2 + step]))
     np.testing.assert_allclose(axis, [[0.0, 0.0, 1.0]], atol=1e-12)
     np.testing.assert_allclose(mirror.azimuths(one, axis), [[0.0, step]], atol=1e-12)
@@ -127,12 +127,14 @@ def test_exact_points_give_the_errors_by_both_recipes():
     assert errors[-1] == pytest.approx(errors[0], abs=1e-15)
     normals = np.array(
         [
-            mirror.cone(np.array([mirror.angles()[i] + errors[i]]), mirror.MIRROR.lean)[0]
+            mirror.normals_on_cone(np.array([mirror.angles()[i] + errors[i]]), mirror.MIRROR.lean)[
+                0
+            ]
             for stand in mirror.STANDS
             for i in stand.visit
         ]
     )
-    found = mirror.recipes(normals[None], np.broadcast_to(np.eye(3), (1, 6, 3, 3)))
+    found = mirror.apply_recipes(normals[None], np.broadcast_to(np.eye(3), (1, 6, 3, 3)))
     # The errors themselves bend the planes of single stations a little.
     np.testing.assert_allclose(found.registration[0], errors - errors[0], atol=0.02 * ARCSEC)
     np.testing.assert_allclose(found.stitching[0], errors - errors[0], atol=0.2 * ARCSEC)

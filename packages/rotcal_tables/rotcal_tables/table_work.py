@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from click import UsageError
 
-from rotcal_ros.cli.console import in_lines
+from rotcal_ros.cli.console import error_lines
 from rotcal_ros.compensation.agreement import UNVERIFIED
 from rotcal_ros.compensation.request import ExportRequest, write_export
 from rotcal_ros.evaluation.marks import marks, why_withheld
@@ -61,10 +61,10 @@ from rotcal_ros.methods.new_setup import (
     values_of_tables,
 )
 from rotcal_ros.methods.settings_reference import unit_and_meaning
-from rotcal_ros.page.state import Curve, Deviations, PageMark, plain
+from rotcal_ros.page.state import Curve, Deviations, PageMark, json_value
 from rotcal_ros.recordings.result_sources import read_source
-from rotcal_ros.report.page import write_measured
-from rotcal_ros.report.printing import printed
+from rotcal_ros.report.page import report_measurement
+from rotcal_ros.report.printing import html_to_pdf
 from rotcal_tables.sheets.words import TABLE_ANGLE
 
 TABLE, TARGETS, SETUP, AFTER, IN_FORCE = "table", "targets", "setup", "after", "in_force"
@@ -172,7 +172,7 @@ def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> 
 
 def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
-    text, *log = in_lines(error)
+    text, *log = error_lines(error)
     question = error.question if isinstance(error, RotcalError) else None
     answers = {*further_lines(question), *(line for line in log if line.startswith("--set "))}
     text = asked.describe(error.found if isinstance(error, UndecidedError) else text)
@@ -235,7 +235,7 @@ def at_boxes(text: str, method: str) -> Phrase:
 
 def _at_boxes(text: str, asked: Asked) -> Any:
     shown = at_boxes(text.replace("--reference-u ARCSEC (k = 1), ", ""), asked.method)
-    return plain(shown) if shown.parts else shown
+    return json_value(shown) if shown.parts else shown
 
 
 def _in_words(question: Question, asked: Asked) -> Reply:
@@ -267,13 +267,13 @@ def explained(asked: Asked) -> Reply:
 def _table(reading: Reading, asked: Asked) -> Reply:
     return {
         "name": asked.describe(reading.table.path.name),
-        "form": plain(reading.form),
+        "form": json_value(reading.form),
         "rows": len(reading.table.lines),
         "columns": list(_columns(reading)),
         "head": reading.head,
         "aside": reading.aside,
-        "remarks": plain((*reading.remarks, *map(asked.describe, reading.sources))),
-        "left_out": plain(reading.left_out),
+        "remarks": json_value((*reading.remarks, *map(asked.describe, reading.sources))),
+        "left_out": json_value(reading.left_out),
         "header": reading.table.header,
         "first": reading.table.lines[:SHOWN_ROWS],
     }
@@ -289,7 +289,7 @@ def _columns(reading: Reading) -> Iterator[Reply]:
         yield {
             "header": header,
             "name": TABLE_ANGLE if angle else column.name,
-            "theirs": plain(theirs),
+            "theirs": json_value(theirs),
             "text": None if use is None else use.text,
             **_unit(use, quantity, column.name),
         }
@@ -308,10 +308,10 @@ def solved(asked: Asked) -> Reply:
     write_atomically(asked.folder / RESULT, result.to_json())
     write_atomically(asked.folder / OWN_SETUP, asked.configuration().text)
     return {
-        "deviations": plain(shown(result)),
+        "deviations": json_value(shown(result)),
         "verdict": result.verdict,
         "simulated": result.circumstances.simulated,
-        "warnings": plain(result.warnings),
+        "warnings": json_value(result.warnings),
         "rejected": len(result.rejected),
         "dof": result.dof,
         "sigma0": result.sigma0,
@@ -354,7 +354,7 @@ def verified(asked: Asked) -> Reply:
     acts = [] if found.effect is None else [found.fault or found.effect.describe()]
     return {
         "verdict": found.verdict,
-        "words": plain((*acts, found.figures, *found.reserves)),
+        "words": json_value((*acts, found.figures, *found.reserves)),
         "rows": [[f"{a:g}", f"{b:.2f}", f"{c:.2f}"] for a, b, c in zip(*columns, strict=True)],
     }
 
@@ -362,13 +362,13 @@ def verified(asked: Asked) -> Reply:
 def reported(asked: Asked) -> Reply:
     """Write the report."""
     with use_language(str(asked.options["language"])):
-        write_measured(asked.read(), asked.folder / REPORT)
+        report_measurement(asked.read(), asked.folder / REPORT)
     return {"files": [REPORT]}
 
 
 def as_pdf(asked: Asked) -> Reply:
     """Print the report."""
-    data = printed(read_text(asked.folder / REPORT))
+    data = html_to_pdf(read_text(asked.folder / REPORT))
     replace_atomically(asked.folder / PDF, partial(write_durably, content=data))
     return {"files": [PDF]}
 

@@ -44,9 +44,15 @@ from rotcal_ros.foundation.untrusted import LARGEST_FILE
 from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.methods.new_setup import OF_THE_ITEM, POSITIONS, START, STEP, known_settings
 from rotcal_ros.methods.settings_reference import default_in_words, unit_and_meaning
-from rotcal_ros.page.app import CLOSING_S, Guard, json_of, listen, words
+from rotcal_ros.page.app import (
+    CLOSING_S,
+    RequestGuard,
+    json_fields,
+    listening_socket,
+    translation_catalogues,
+)
 from rotcal_ros.page.settings import LOOPBACK
-from rotcal_ros.page.state import plain
+from rotcal_ros.page.state import json_value
 from rotcal_tables import table_work
 from rotcal_tables.table_work import (
     AFTER,
@@ -128,7 +134,7 @@ class Desk:
 
     async def start(self, _request: Request) -> Response:
         """Answer with what the page needs once."""
-        methods = [(name, plain(title)) for name, title in TITLES.items()]
+        methods = [(name, json_value(title)) for name, title in TITLES.items()]
         return JSONResponse({
             "token": self.token, "names": self._names, "methods": methods, "method": DEFAULT,
             "controllers": controller_names(), "advises": "advise" in plugins.names(plugins.PLANS),
@@ -182,7 +188,7 @@ class Desk:
 
     async def work(self, request: Request) -> Response:
         """Answer with what becomes of the table, and offer the files that are made."""
-        what, options = request.path_params["what"], await json_of(request, MOST_ASKED)
+        what, options = request.path_params["what"], await json_fields(request, MOST_ASKED)
         if what not in WORK or not options:
             raise ConfigurationError(f"cannot do {what!r:.80} with what was sent")
         if (what != "advise" and TABLE not in self._names) or (
@@ -220,7 +226,7 @@ def make_app(folder: Path, port: int) -> OneVisitor:
         Starlette(
             routes=[
                 Route("/", _index),
-                Route("/words", words),
+                Route("/words", translation_catalogues),
                 Route("/start", desk.start),
                 Route("/settings/{method}", _settings),
                 Route("/files/{role}", desk.take, methods=["POST", "DELETE"]),
@@ -254,17 +260,17 @@ def asked_settings(method: str) -> Iterator[Reply]:
         unit, meaning = unit_and_meaning(declared)
         yield {
             "name": name,
-            "meaning": plain(label_of(name, meaning)),
+            "meaning": json_value(label_of(name, meaning)),
             "unit": unit,
             "kind": declared.kind.__name__,
             "list": declared.is_list,
             "choices": declared.info.named_choices,
-            "default": plain(OF_TABLE) if name in ANGLES else default_in_words(declared),
+            "default": json_value(OF_TABLE) if name in ANGLES else default_in_words(declared),
             "asked": not name.startswith("identity.") or name in OF_THE_ITEM,
         }
 
 
-class OneVisitor(Guard):
+class OneVisitor(RequestGuard):
     """Lets in the one browser that brings ``key`` first, and from then on its cookie."""
 
     def __init__(self, app: ASGIApp, port: int) -> None:
@@ -301,7 +307,7 @@ def _same(given: str, expected: str) -> bool:
 
 def serve(folder: Path, port: int, opened: Callable[[str], object]) -> None:
     """Serve the page until somebody interrupts; ``opened`` is given its address."""
-    listening = listen(LOOPBACK, port)
+    listening = listening_socket(LOOPBACK, port)
     port = listening.getsockname()[1]
     guard = make_app(folder, port)
     opened(f"http://{LOOPBACK}:{port}/?key={guard.key}")

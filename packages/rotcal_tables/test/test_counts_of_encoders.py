@@ -5,7 +5,7 @@ import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError, UndecidedError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 
 N = 360_000
 """Counts of a turn: one is 3.6 arcsec."""
@@ -29,7 +29,7 @@ def solved(folder, actual, *changes, head="commanded [deg],encoder [counts]", an
     (path := folder / "t.csv").write_text(
         head + "\n" + "".join(f"{float(a):g},{c}\n" for a, c in zip(angles, actual, strict=True))
     )
-    return Input(path, changes=(U, *changes)).read().solve()
+    return MeasurementInput(path, changes=(U, *changes)).read().solve()
 
 
 def ecc(result):
@@ -138,7 +138,7 @@ def test_repeats_show_the_noise_and_half_a_count_stays(tmp_path):
     (path := tmp_path / "t.csv").write_text(
         "commanded [deg],run,encoder [counts]\n" + "\n".join(rows) + "\n"
     )
-    result = Input(path, changes=(TURN,)).read().solve()
+    result = MeasurementInput(path, changes=(TURN,)).read().solve()
     noise = np.hypot(8.0, 3.6 / np.sqrt(12.0))
     assert result.runs.repeatability_std / ARCSEC == pytest.approx(noise, rel=0.12)
     u = np.hypot(noise / np.sqrt(5.0), 3.6 / np.sqrt(12.0))

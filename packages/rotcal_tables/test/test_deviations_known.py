@@ -16,7 +16,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError, Undecide
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 
 DATA = Path(__file__).with_name("data")
 SAID = "sheet.values=deviations"
@@ -29,7 +29,7 @@ FIGURES = {
 
 
 def solved(path, *changes):
-    return Input(path, changes=changes).read().solve()
+    return MeasurementInput(path, changes=changes).read().solve()
 
 
 def table(folder, text):
@@ -199,7 +199,7 @@ def test_the_tolerance_is_decided_as_for_a_result_of_our_own(tmp_path):
 )
 def test_a_table_without_set_up_lists_the_methods_that_its_columns_fit(name, methods):
     with pytest.raises(ConfigurationError) as refused:
-        Input(DATA / name).read()
+        MeasurementInput(DATA / name).read()
     found = [m for m in methods if f"rotcal new --method {m} -o {m}.yaml" in str(refused.value)]
     assert found == methods
     assert str(refused.value).count("rotcal new") == len(methods)
@@ -219,5 +219,5 @@ def test_a_set_up_may_state_all_of_it(tmp_path):
     text = "method: deviations\nu_arcsec: 0.5\nsheet: {values: corrections}\n"
     (setup := tmp_path / "s.yaml").write_text(text)
     assert parse_configuration(text).solver.u_arcsec == 0.5
-    result = Input(table(tmp_path, SMALL), setup).read().solve()
+    result = MeasurementInput(table(tmp_path, SMALL), setup).read().solve()
     assert result.deviations["ECC"] / ARCSEC == pytest.approx([-0.5, -3.2, 1.0, -2.0])

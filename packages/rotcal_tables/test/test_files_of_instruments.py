@@ -6,7 +6,7 @@ from click.testing import CliRunner
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 
 UP, DOWN = [(0.1, 3.2, -1.5), (0.3, 3.4, -1.1)], [(0.9, 4.4, -0.5), (1.1, 4.0, -0.3)]
 SAID = (
@@ -32,7 +32,7 @@ def rtl(count=3):
 
 
 def solved(path):
-    return Input(path, changes=SAID).read().solve()
+    return MeasurementInput(path, changes=SAID).read().solve()
 
 
 def test_runs_of_a_laser_are_read_with_their_directions_and_units_are_asked(tmp_path):

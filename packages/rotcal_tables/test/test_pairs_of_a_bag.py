@@ -14,7 +14,7 @@ from other_messages import write_messages
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 from rotcal_tables.pair_verb import command
 
 N = 4096
@@ -96,7 +96,7 @@ def test_rests_of_counts_that_wrap_are_deviations_with_their_noise(bag, tmp_path
     done = taken(bag, out, *joint, "--period", str(N))
     assert done.exception is None, done.exception
     assert "12 rests" in done.output
-    result = Input(out, changes=(f"sheet.counts_per_turn={N}",)).read().solve()
+    result = MeasurementInput(out, changes=(f"sheet.counts_per_turn={N}",)).read().solve()
     assert result.angles / DEGREE == pytest.approx(COMMANDED)
     count = 1_296_000 / N
     assert np.abs(result.deviations["ECC"] / ARCSEC - TRUTH).max() <= count / 2.0

@@ -19,7 +19,7 @@ from test_page_language import english_words
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.plugins import PLANS, names
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.page.app import listen
+from rotcal_ros.page.app import listening_socket
 from rotcal_tables.web import make_app
 
 expect = pytest.importorskip("playwright.sync_api").expect
@@ -41,7 +41,7 @@ FREE = "#tables, #command, #controller, #error, #language, #links, #warnings, td
 @contextmanager
 def served(folder):
     """Serve the page; yield the address with its key."""
-    listening = listen("127.0.0.1", 0)
+    listening = listening_socket("127.0.0.1", 0)
     port = listening.getsockname()[1]
     app = make_app(folder, port)
     server = uvicorn.Server(uvicorn.Config(app, log_level="warning", lifespan="off"))

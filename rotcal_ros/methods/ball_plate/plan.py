@@ -26,7 +26,7 @@ from rotcal_ros.methods.ball_plate.solver.result import METHOD, MOST_OPEN
 from rotcal_ros.methods.ball_plate.solver.separability import MIN_BALLS, common_divisor
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.table_angles import visits
+from rotcal_ros.planning.table_angles import planned_arrivals
 
 
 def plan(configuration: Configuration) -> Plan:
@@ -91,7 +91,7 @@ def ball_plate_plan(settings: BallPlatePlanSettings) -> Plan:
     order = measuring_order(settings)
     places = np.array(settings.centre_m) + plate.places
     touched = settings.measure == SURFACE
-    every = visits(plate.grid, runs=1, bidirectional=settings.bidirectional)
+    every = planned_arrivals(plate.grid, runs=1, bidirectional=settings.bidirectional)
     turns = np.round(order.table_angle / (2.0 * np.pi / plate.grid)).astype(np.int64)
     numbers = position_of(order.position, order.upward, plate.grid)
     columns = (turns, numbers, order.ball_step, order.cmm_index)

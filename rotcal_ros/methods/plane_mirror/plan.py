@@ -34,8 +34,8 @@ from rotcal_ros.methods.plane_mirror.settings import (
     MirrorPlanSettings,
 )
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD
-from rotcal_ros.planning.plan import Move, Pause, Plan, Point, Step
-from rotcal_ros.planning.points import triples
+from rotcal_ros.planning.plan import OperatorMove, Pause, Plan, Point, Step
+from rotcal_ros.planning.points import parse_points
 from rotcal_ros.planning.table_angles import table_angles
 
 LEAST_ANGLES: Final = 3
@@ -104,7 +104,7 @@ def mirror_plan(settings: MirrorPlanSettings) -> Plan:
     """
     angles, stands = table_angles(settings), tracker_stands(settings)
     again = settings.closing_nests
-    nests = triples(settings.nests_m, "nests_m") if len(stands) > 1 or again else ()
+    nests = parse_points(settings.nests_m, "nests_m") if len(stands) > 1 or again else ()
     _check_nests(nests)
     every = position_angles(settings)
     blocks = [_steps_of(settings, every, stand, nests, again) for stand in stands]
@@ -118,7 +118,7 @@ def mirror_plan(settings: MirrorPlanSettings) -> Plan:
     pauses: list[Pause] = []
     for start, end, stand in zip(starts[:-1], starts[1:], stands, strict=True):
         instruction = _instruction(stand, stands, angles, len(nests))
-        move = Move("tracker", stand.number, stand.place)
+        move = OperatorMove("tracker", stand.number, stand.place)
         pauses.append(Pause(start, start + len(nests) - 1, instruction, move=move))
         if nests and again:
             pauses.append(Pause(end - len(nests), end - 1, _CLOSING, again_from=start))
@@ -241,7 +241,7 @@ def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tup
             edge=min(settings.mirror_size_m),
         )
     else:
-        carried = triples(settings.table_reflectors_m, "table_reflectors_m")
+        carried = parse_points(settings.table_reflectors_m, "table_reflectors_m")
         if not carried:
             raise PlanError(
                 "plan: the table carries reflectors, but table_reflectors_m names none"

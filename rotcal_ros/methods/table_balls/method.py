@@ -76,7 +76,7 @@ from rotcal_ros.methods.table_balls.settings import (
 )
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
 from rotcal_ros.methods.turning import require_turns
-from rotcal_ros.planning.plan import Move, Pause, Plan, Step
+from rotcal_ros.planning.plan import OperatorMove, Pause, Plan, Step
 from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -188,12 +188,16 @@ def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
     """Yield a pause wherever a person turns the tilting axis, or brings the bar to a set-up."""
     before, bars, tilting = (-1, -1), len(balls.bars), balls.tilting
     for step in steps:
-        here, work, move = (step.station, step.target), list[str](), Move("ball bar", step.target)
+        here, work, move = (
+            (step.station, step.target),
+            list[str](),
+            OperatorMove("ball bar", step.target),
+        )
         if tilting is not None and here[0] != before[0]:
             work.append(
                 phrase("turn {0} to {1:g} deg", tilting.letter, tilting.degrees[step.station])
             )
-            move = Move(tilting.letter, step.station)
+            move = OperatorMove(tilting.letter, step.station)
         if bars and (work or here[1] != before[1]):
             ball, number = divmod(step.target, bars)
             work.append(f"bring the ball bar to ball {ball}, set-up {number} of plan.bars_m")

@@ -71,8 +71,8 @@ from rotcal_ros.methods.table_balls.settings import (
     below_the_table,
     sense_of,
 )
-from rotcal_ros.planning.points import triples
-from rotcal_ros.planning.readings import Readings, passes
+from rotcal_ros.planning.points import parse_points
+from rotcal_ros.planning.readings import Readings, pass_numbers
 from rotcal_ros.planning.table_angles import table_angles
 
 
@@ -270,11 +270,11 @@ class BallsOnTable:
         """
         sense = sense_of(plan.chain, "C")
         angles = sense * np.array(table_angles(plan))
-        balls = np.array(triples(plan.balls_m, "balls_m")).reshape(-1, 3)
+        balls = np.array(parse_points(plan.balls_m, "balls_m")).reshape(-1, 3)
         origin = np.array(plan.axis_m)
         tilting = Tilting.of(plan)
         tilts = 1 if tilting is None else len(tilting.tilts)
-        bars = np.array(triples(plan.bars_m * (plan.measure == BAR), "bars_m")).reshape(-1, 3)
+        bars = np.array(parse_points(plan.bars_m * (plan.measure == BAR), "bars_m")).reshape(-1, 3)
         targets = len(balls) * max(1, len(bars))
         tilt, position, target = np.indices((tilts, len(angles), targets)).reshape(3, -1)
         turning = runs = sense * np.array(plan.turning_deg_s) * DEGREE
@@ -783,7 +783,7 @@ def _returning(balls: BallsOnTable, read: Readings, zero: Ints) -> Floats:
     table drifts alike: balls that are touched one after the other would tell of the time between
     them, and of nothing else.
     """
-    run = passes(read.station, read.position, read.order)
+    run = pass_numbers(read.station, read.position, read.order)
     _, stop = np.unique(np.stack([run, read.position]), axis=1, return_inverse=True)
     shapes = recurring(run, (np.bincount(stop, read.when) / np.bincount(stop))[stop])
     felt = np.broadcast_to(np.eye(3), (len(run), 3, 3))

@@ -21,12 +21,12 @@ from rotcal_ros.methods.simulation.air import SimulatedTemperature
 from rotcal_ros.methods.simulation.instrument import Table, Ticks
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.table_balls.settings import BallsSimulationSettings, SimulatedBallsSettings
-from rotcal_ros.planning.points import triples
+from rotcal_ros.planning.points import parse_points
 
 
 def placed_balls(settings: BallsSimulationSettings) -> Floats:
     """Return the true centres (k, 3) in the table frame at angle 0, m."""
-    places = np.array(triples(settings.balls.balls_m, "balls_m"))
+    places = np.array(parse_points(settings.balls.balls_m, "balls_m"))
     missed = IndexedNoise(settings.seed, NoiseSource.BALL).normal(0, places.size)
     off = settings.balls.placing_mm * MILLIMETRE * missed.reshape(places.shape)
     return np.asarray(places + off)

@@ -17,7 +17,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError, RotcalError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.plan import tracer_plan
@@ -30,12 +30,12 @@ from rotcal_ros.methods.tracer.settings import (
     TracerSolverSettings,
 )
 from rotcal_ros.methods.tracer.simulation import cell_time
-from rotcal_ros.planning.choices import UNTIL_GOAL, Policy
-from rotcal_ros.planning.plan import Compared, Plan, PlanFigures, Step
-from rotcal_ros.planning.sequence_time import stated_time
+from rotcal_ros.planning.choices import UNTIL_GOAL, StepPolicy
+from rotcal_ros.planning.plan import Plan, PlanComparison, PlanFigures, Step
+from rotcal_ros.planning.sequence_time import constant_time_model
 
 
-def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], Policy]:
+def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], StepPolicy]:
     """Return what makes the policy for a continuation; the first sweep is planned only once.
 
     Raises ConfigurationError for what until_goal cannot plan with, PlanError when the goal is out
@@ -57,7 +57,7 @@ def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuati
     return partial(_begun, experiment, goal)
 
 
-def _begun(experiment: LengthExperiment, goal: float, continuation: Continuation) -> Policy:
+def _begun(experiment: LengthExperiment, goal: float, continuation: Continuation) -> StepPolicy:
     if continuation.run == 0 and continuation.start_index:
         raise PlanError(
             f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "
@@ -79,7 +79,7 @@ def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperim
     settings: TracerSolverSettings = configuration.solver
     planner = configuration.planner
     scene = Scene(
-        stations=on_table(_mount(configuration), plan.table_angles),
+        stations=positions_on_table(_mount(configuration), plan.table_angles),
         table_angles=np.array(plan.table_angles),
         targets=np.array(plan.targets),
         target_std=np.full(3, settings.target_std_m),
@@ -149,7 +149,7 @@ ABOVE_TRACER: Final = 1.3025
 
 def compare(
     configuration: Configuration, plan: Plan, steps: Sequence[int], lost: Collection[int]
-) -> Compared:
+) -> PlanComparison:
     """Return the figures of ``steps`` of ``plan`` and of the paper's plan at the same angles.
 
     Steps that gave no length (``lost``) take time and give no information.
@@ -162,7 +162,7 @@ def compare(
     targets = np.array(papers.targets)
     elsewhere = replace(scene, targets=targets, target_std=scene.target_std[0])
     chosen = [plan.steps[step] for step in steps]
-    return Compared(
+    return PlanComparison(
         own=_figures(configuration, scene, chosen, lost),
         papers=_figures(configuration, elsewhere, papers.steps, ()),
         length_std=scene.length_std,
@@ -198,6 +198,6 @@ def _figures(
     return PlanFigures(
         lengths=len(pairs),
         uncertainty=COVERAGE_FACTOR * known.rms_std,
-        seconds=stated_time(planner.turn_s, planner.step_s).seconds(steps),
+        seconds=constant_time_model(planner.turn_s, planner.step_s).seconds(steps),
         cell_seconds=cell_time(configuration).seconds(steps) if simulated else None,
     )

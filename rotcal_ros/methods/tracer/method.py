@@ -18,7 +18,7 @@ from rotcal_ros.foundation.errors import (
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.arrivals import (
     Arrivals,
     RepeatedTrials,
@@ -51,7 +51,7 @@ from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.table import PLAN_FILES
 from rotcal_ros.methods.turning import require_turns
-from rotcal_ros.planning.plan import Compared, Plan
+from rotcal_ros.planning.plan import Plan, PlanComparison
 from rotcal_ros.planning.table_angles import table_angles
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def problem(
         zero_walk_std=settings.zero_walk_std_m if segments else 0.0,
         slip=settings.slip_m,
         # few lengths to low targets leave a mirror image of a station, which this rules out
-        start_stations=on_table(mount, angles.tolist()) if mount else None,
+        start_stations=positions_on_table(mount, angles.tolist()) if mount else None,
         variant=settings.variant,
         datum=settings.datum,
         error_motion_std=settings.error_motion_std_m,
@@ -177,7 +177,7 @@ def stations(configuration: Configuration) -> Stations:
 
 def compare(
     configuration: Configuration, plan: Plan, steps: Sequence[int], lost: Collection[int]
-) -> Compared:
+) -> PlanComparison:
     """Return what is known of ``steps`` and of the paper's plan; loaded when it is asked for."""
     from rotcal_ros.methods.tracer import goal_policy
 

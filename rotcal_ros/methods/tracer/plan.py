@@ -19,7 +19,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind, Turn
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.settings import (
     TARGETS_PER_STATION,
     BlockSettings,
@@ -32,8 +32,8 @@ from rotcal_ros.methods.tracer.solver.observability import what_is_missing
 from rotcal_ros.methods.tracer.solver.problem import station_minimum
 from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.planning.plan import Plan, Point, Step, numbered_steps
-from rotcal_ros.planning.points import in_a_line, in_a_plane, triples
-from rotcal_ros.planning.table_angles import table_angles, visits
+from rotcal_ros.planning.points import are_collinear, are_coplanar, parse_points
+from rotcal_ros.planning.table_angles import planned_arrivals, table_angles
 
 LEAST_BEAMS = 4
 """Targets with a free beam that a station has to see."""
@@ -77,12 +77,12 @@ def check_plan(solver: TracerSolverSettings, planned: Plan, *, turning: bool = F
             f"{n} targets at {places} places: targets_m repeats one, or box_size_m is 0 where "
             "box_points are several"
         )
-    if not on_circle and not missing and in_a_line(np.array(planned.targets)):
+    if not on_circle and not missing and are_collinear(np.array(planned.targets)):
         missing = (
             f"the {n} targets lie in a line, about which every station could be turned without a "
             "trace in the lengths: put some aside"
         )
-    if not (on_circle or shared or missing) and n == 4 and in_a_plane(np.array(planned.targets)):
+    if not (on_circle or shared or missing) and n == 4 and are_coplanar(np.array(planned.targets)):
         missing = (
             "4 targets in one plane do not determine a station with a zero of its own: put one "
             "out of the plane, or measure more"
@@ -117,7 +117,7 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
             "another"
         )
     angles = table_angles(settings)
-    arrivals = visits(len(angles), settings.runs, settings.bidirectional)
+    arrivals = planned_arrivals(len(angles), settings.runs, settings.bidirectional)
     targets = targets_of(settings)
     every = tuple(angles[visit.target] for visit in arrivals)
     plan = plan_of(every, targets, [visit.approach for visit in arrivals])
@@ -193,7 +193,7 @@ def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
     lowest = -90.0 if settings.min_elevation_deg is None else settings.min_elevation_deg
     position = np.array([step.table_position for step in plan.steps])
     targets = np.array([step.position for step in plan.steps])
-    beams = targets - on_table(settings.tracer_m, angles)[position]
+    beams = targets - positions_on_table(settings.tracer_m, angles)[position]
     free = within_reach(beams, (settings.min_distance_m, np.inf), (lowest, 90.0))
     require_beams(position[free], angles, "min_elevation_deg, min_distance_m")
     return _renumbered(plan, compress(plan.steps, free))
@@ -279,4 +279,4 @@ def _plan(
 
 def targets_of(settings: BlockSettings) -> tuple[Point, ...]:
     """Return the explicit targets (m), or those of the block."""
-    return triples(settings.targets_m, "targets_m") if settings.targets_m else settings.block
+    return parse_points(settings.targets_m, "targets_m") if settings.targets_m else settings.block

@@ -10,7 +10,7 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.planning.plan import Point
-from rotcal_ros.planning.points import block
+from rotcal_ros.planning.points import serpentine_grid
 from rotcal_ros.planning.table_angles import (
     TableAngleSettings,
     passing_setting,
@@ -328,7 +328,7 @@ class BlockSettings(TableAngleSettings):
     @property
     def block(self) -> tuple[Point, ...]:
         """The targets (m) of the block."""
-        return block(self.box_centre_m, self.box_size_m, self.box_points)
+        return serpentine_grid(self.box_centre_m, self.box_size_m, self.box_points)
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,17 @@ from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD
 from rotcal_ros.methods.tracer_six.solver.problem import lost_direction
-from rotcal_ros.planning.plan import TABLE_FRAME, Move, Pause, Plan, Point, Step, numbered_steps
-from rotcal_ros.planning.points import triples
-from rotcal_ros.planning.table_angles import table_angles, visits
+from rotcal_ros.planning.plan import (
+    TABLE_FRAME,
+    OperatorMove,
+    Pause,
+    Plan,
+    Point,
+    Step,
+    numbered_steps,
+)
+from rotcal_ros.planning.points import parse_points
+from rotcal_ros.planning.table_angles import planned_arrivals, table_angles
 
 LOCATING: Final = 6
 """Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""
@@ -87,7 +95,7 @@ def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
     if settings.turning_deg_s:
         return _turning_plan(settings, targets)
     distinct, places = table_angles(settings), places_of(settings)
-    every = visits(len(distinct), runs=1, bidirectional=settings.bidirectional)
+    every = planned_arrivals(len(distinct), runs=1, bidirectional=settings.bidirectional)
     angles = tuple(distinct[visit.target] for visit in every)
     visited = [*range(len(angles))] * settings.arrivals + [0] * settings.closes
     blocks = [
@@ -101,7 +109,7 @@ def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
             first := number * length,
             _located(steps[first : first + length], settings.order),
             _instruction(number, places, len(targets), len(distinct)),
-            move=Move("tracer", number, places[number], TABLE_FRAME),
+            move=OperatorMove("tracer", number, places[number], TABLE_FRAME),
         )
         for number in range(len(places))
     )
@@ -130,7 +138,7 @@ def _turning_plan(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan
             first := number * len(once),
             first - 1,
             _instruction(number, places, len(targets), len(angles)),
-            move=Move("tracer", number, places[number], TABLE_FRAME),
+            move=OperatorMove("tracer", number, places[number], TABLE_FRAME),
         )
         for number in range(len(places))
     )
@@ -141,7 +149,7 @@ def _turning_plan(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan
 def places_of(settings: SixPlanSettings) -> tuple[Point, ...]:
     """Return the places of the tracer (m), table frame at angle 0."""
     if settings.places_m:
-        return triples(settings.places_m, "places_m")
+        return parse_points(settings.places_m, "places_m")
     return places_around_axis(
         settings.places,
         settings.place_radius_m,

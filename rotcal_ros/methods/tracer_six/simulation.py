@@ -43,7 +43,7 @@ from rotcal_ros.methods.tracer.simulation import (
 from rotcal_ros.methods.tracer_six.plan import places_of
 from rotcal_ros.methods.tracer_six.settings import SixSimulationSettings
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.points import triples
+from rotcal_ros.planning.points import parse_points
 
 _MOST: Final = 1000
 """Places; the mountings at each have random numbers of their own."""
@@ -75,7 +75,7 @@ class CarriedTracer(TracerAndReflector):
         start_ns: int,
     ) -> None:
         self.tracer_settings = settings.tracer
-        self._places = triples(settings.tracer.places_m, "simulation.tracer.places_m")
+        self._places = parse_points(settings.tracer.places_m, "simulation.tracer.places_m")
         super().__init__(settings, self._places[0], table, temperature, start_ns)
         self._placing = IndexedNoise(settings.noise_seed, NoiseSource.MOUNTING)
         self._mounted_zero = IndexedNoise(settings.noise_seed, NoiseSource.MOUNTED_ZERO)

@@ -81,7 +81,7 @@ class LinuxCncMachine:
 
     def move(self, order: dict[str, float]) -> None:
         """Carry out one order, with the overshoot of its side; RuntimeError: other work."""
-        if work := work_of(self._linuxcnc):
+        if work := current_activity(self._linuxcnc):
             raise RuntimeError(f"{work}: the order for {self._axis} was not carried out")
         self.stat.poll()
         if self.stat.task_mode != self._linuxcnc.MODE_MDI:
@@ -116,7 +116,7 @@ class LinuxCncMachine:
             time.sleep(0.002)
 
 
-def work_of(linuxcnc: Any) -> str | None:
+def current_activity(linuxcnc: Any) -> str | None:
     """Return what the machine is doing; None: nothing, or LinuxCNC does not run."""
     try:
         stat = linuxcnc.stat()
@@ -131,13 +131,13 @@ def work_of(linuxcnc: Any) -> str | None:
     return None
 
 
-def say(message: dict[str, Any]) -> None:
+def write_event(message: dict[str, Any]) -> None:
     """Write one line."""
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 
-def obey(
+def execute_orders(
     machine: LinuxCncMachine, orders: queue.Queue[dict[str, float]], errors: list[str]
 ) -> None:
     """Carry out orders one after the other; a failure is reported, and the next order is tried."""
@@ -149,7 +149,7 @@ def obey(
         orders.task_done()
 
 
-def listen(orders: queue.Queue[dict[str, float]]) -> None:
+def read_orders(orders: queue.Queue[dict[str, float]]) -> None:
     """Read orders until standard input ends."""
     for line in sys.stdin:
         orders.put(json.loads(line))
@@ -170,7 +170,7 @@ def main() -> None:
     import linuxcnc
 
     if arguments.busy:
-        work = work_of(linuxcnc)
+        work = current_activity(linuxcnc)
         sys.stdout.write(f"{work or ''}\n")
         sys.exit(1 if work else 0)
     import hal
@@ -183,10 +183,10 @@ def main() -> None:
         machine.start()
     machine.take()
     orders, errors = queue.Queue[dict[str, float]](), list[str]()
-    threading.Thread(target=obey, args=(machine, orders, errors), daemon=True).start()
-    listener = threading.Thread(target=listen, args=(orders,), daemon=True)
+    threading.Thread(target=execute_orders, args=(machine, orders, errors), daemon=True).start()
+    listener = threading.Thread(target=read_orders, args=(orders,), daemon=True)
     listener.start()
-    say({"event": "ready"})
+    write_event({"event": "ready"})
     while listener.is_alive():
         while (complaint := channel.poll()) is not None:
             errors.append(str(complaint[1]).strip())
@@ -195,7 +195,7 @@ def main() -> None:
         state = {"stamp_ns": time.time_ns(), "angle_deg": angle, "motor_deg": motor}
         actual = hal.get_value(arguments.actual) if arguments.actual else None
         obeying = orders.unfinished_tasks > 0
-        say({**state, "actual_deg": actual, "obeying": obeying, "errors": errors[:]})
+        write_event({**state, "actual_deg": actual, "obeying": obeying, "errors": errors[:]})
         errors.clear()
         time.sleep(1.0 / arguments.rate)
     component.exit()

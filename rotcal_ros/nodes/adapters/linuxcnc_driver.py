@@ -28,7 +28,7 @@ from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.planning.approach import require_rest
 from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
@@ -148,7 +148,7 @@ class LinuxCncDriver(CellNode):
 
 def main() -> None:
     """Run the driver."""
-    run(LinuxCncDriver)
+    run_node(LinuxCncDriver)
 
 
 if __name__ == "__main__":

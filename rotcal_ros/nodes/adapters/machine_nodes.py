@@ -17,7 +17,7 @@ _OURS: Final[dict[str, dict[str, str]]] = {
 }
 
 
-def able(role: str) -> dict[str, str]:
+def nodes_for_role(role: str) -> dict[str, str]:
     """Return the nodes that can be asked for, and the group of the configuration that each needs.
 
     ``role``: table or probe.
@@ -32,7 +32,7 @@ def machine_nodes(groups: Collection[str], table: str, probe: str) -> list[str]:
     ``groups`` are those of the configuration, ``table`` and ``probe`` are AS_CONFIGURED, OWN or
     a node that is able to it. ConfigurationError when that node lacks its group.
     """
-    asked = (("table", table, able("table")), ("probe", probe, able("probe")))
+    asked = (("table", table, nodes_for_role("table")), ("probe", probe, nodes_for_role("probe")))
     for role, node, known in asked:
         if (group := known.get(node)) and group not in groups:
             raise ConfigurationError(

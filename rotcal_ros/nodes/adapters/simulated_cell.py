@@ -22,7 +22,7 @@ from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
 PERIOD_S: Final = 0.01
@@ -169,7 +169,7 @@ class SimulatedCellNode(CellNode):
 
 def main() -> None:
     """Run the simulated cell."""
-    run(SimulatedCellNode)
+    run_node(SimulatedCellNode)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """The bridge node: writes compensation tables as files, and applies them when a person confirms.
 
 BridgeNode takes tables and looks up corrections. ControllerAccess offers the two services that
-change the controller, ``apply`` and ``restore``; Announcer publishes which table is in force.
+change the controller, ``apply`` and ``restore``; ControllerInspector publishes which table is in
+force.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.cell_node import CellNode, wait_for_condition
 from rotcal_ros.nodes.runtime.qos import LATCHED
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import steady_timer
 from rotcal_ros.planning.settings import CellSettings
 
@@ -127,7 +128,7 @@ class BridgeNode(CellNode):
 PERIOD_S: Final = 1.0
 
 
-class Announcer:
+class ControllerInspector:
     """Inspects the controller in the thread of its other accesses, and publishes what it found.
 
     After every look ``tell`` gets a sentence on what contradicts that, or None.
@@ -207,7 +208,9 @@ class ControllerAccess:
         self._opening = steady_timer(node, OPENING_PERIOD_S, node.health.guarded(self._open))
         self._open()
         if feed.settings.controller_folder:
-            Announcer(node, feed, self._worker, partial(self._warn_of, about=CONTRADICTION))
+            ControllerInspector(
+                node, feed, self._worker, partial(self._warn_of, about=CONTRADICTION)
+            )
 
     def close(self) -> None:
         """Release the controller; what is being written is finished first."""
@@ -284,7 +287,9 @@ class ControllerAccess:
         """Return whether a request may change the controller; if not, the response says why."""
         assert self._secret is not None
         health = self._node.health
-        await until(health.aware, AWARE_TIMEOUT_S)  # a calibration may have begun meanwhile
+        await wait_for_condition(
+            health.aware, AWARE_TIMEOUT_S
+        )  # a calibration may have begun meanwhile
         if not self._secret.is_in(secret):
             response.message = "the request does not carry the secret of bridge.secret_file"
         elif max(map(self._offered, SERVICES)) > 1:
@@ -351,7 +356,7 @@ class ControllerAccess:
 
 def main() -> None:
     """Run the bridge, reachable from this machine alone unless the user has set the range."""
-    run(BridgeNode, LOCALHOST)
+    run_node(BridgeNode, LOCALHOST)
 
 
 if __name__ == "__main__":

@@ -41,14 +41,14 @@ from rotcal_ros.nodes.runtime.beat_values import (
     SCATTER,
     SILENT,
     TOPICS,
-    given_topics,
-    other_names,
-    reading,
+    configured_topics,
+    reading_values,
+    remapped_topic_values,
 )
 from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
-from rotcal_ros.nodes.runtime.message_types import ONE_VERSION, message_type, numbers_of
+from rotcal_ros.nodes.runtime.message_types import ONE_VERSION, message_type, numeric_fields
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     Batch,
     InstrumentSubscription,
@@ -118,7 +118,7 @@ class InstrumentStreams:
         """Return the values for the beat, with the silence of ``needed`` steady streams."""
         values: dict[str, Any] = self.topics.values()
         values |= {f"valid.{role}": self._valid[role] for role in self._heard_s}
-        values |= {f"{NOW}{role}": reading(record) for role, record in self._latest.items()}
+        values |= {f"{NOW}{role}": reading_values(record) for role, record in self._latest.items()}
         values |= {f"{FRAME}{role}": frame for role, frame in self._frames.items()}
         values |= {f"{RATE}{role}": f"{hertz:.4g}" for role, hertz in self._rates.hertz().items()}
         if (scatter := reading_scatter(self._lengths)) is not None:
@@ -139,7 +139,8 @@ class InstrumentStreams:
         if header := getattr(batch[-1][0], "header", None):
             self._frames[role] = header.frame_id
         if type_name == OWN[names.JOINT_STATES]:
-            self._note_joints([message for message, _ in batch])
+            for message, _ in batch:
+                self._joints.note(message, self._joint)
         records = self._interpreter.records(role, type_name, sent)
         if role in TIMED:
             simulated_ns = self._node.now_ns() if self._node.health.sim.used else 0
@@ -154,10 +155,6 @@ class InstrumentStreams:
             if role in FAST:
                 self._rates.note(role, record.stamp_ns)
             self._take(record)
-
-    def _note_joints(self, messages: list[JointState]) -> None:
-        for message in messages:
-            self._joints.note(message, self._joint)
 
     def _switched(self, role: str) -> None:
         """Forget what was heard of an instrument that changed or is now read differently."""
@@ -240,12 +237,12 @@ class InstrumentTopics:
 
     def use(self, configuration: Configuration) -> None:
         """Use the topics that the configuration of a plan names."""
-        self._take(given_topics(configuration))
+        self._take(configured_topics(configuration))
 
     def values(self) -> dict[str, str]:
         """Return the values for the beat: names of topics, and types that cannot be used."""
         refused = {REFUSED + r: text for r, text in (self._by_sending() | self.refused).items()}
-        named = other_names(self._node.get_namespace(), self.name)
+        named = remapped_topic_values(self._node.get_namespace(), self.name)
         return {**named, **refused, TOPICS: self._goals}
 
     def _by_sending(self) -> dict[str, str]:
@@ -296,5 +293,5 @@ def _kind(role: str, type_name: str, conventions: Conventions) -> tuple[type | N
         kind = message_type(type_name)
     except BagError as error:
         return None, str(error)
-    why = conventions.unfit(role, type_name, [*numbers_of(kind())])
+    why = conventions.unfit(role, type_name, [*numeric_fields(kind())])
     return (None, why) if why else (kind, "")

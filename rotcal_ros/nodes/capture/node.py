@@ -21,7 +21,7 @@ from rotcal_ros.nodes.capture.instrument_streams import InstrumentStreams
 from rotcal_ros.nodes.runtime import announced_plan, beat_values, conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 
 READINGS_S: Final = 0.01
 """During a calibration readings are collected for this time and handled together."""
@@ -44,14 +44,14 @@ class CaptureWarnings:
         """Forget what belongs to an earlier plan."""
         self._rejections, self._kinds = Rejections(), dict[str, str]()
         for key in (beat_values.REJECTED, beat_values.COMPLAINT):
-            beat_values.show(self._health, key, None)
+            beat_values.set_warning(self._health, key, None)
 
     def observed(self, observation: Observation) -> None:
         """Note an observation: three rejected in a row are an error, fewer a warning."""
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
         alarm, text = self._rejections.alarming, self._rejections.describe()
-        beat_values.show(self._health, beat_values.REJECTED, text, alarm=alarm)
+        beat_values.set_warning(self._health, beat_values.REJECTED, text, alarm=alarm)
         if text:
             self._health.beat()  # at once: the goal may end with this rejection
 
@@ -69,7 +69,7 @@ class CaptureWarnings:
         if text and reason_kind(text) != self._kinds.get(key):
             self._logger.warning(text)
             self._kinds[key] = reason_kind(text)
-        beat_values.show(self._health, key, text)
+        beat_values.set_warning(self._health, key, text)
 
 
 class CaptureNode(CellNode):
@@ -133,7 +133,7 @@ class CaptureNode(CellNode):
         self._state = LOADING
         self.health.beat()
         try:
-            calibration = announced_plan.calibration_of(message)
+            calibration = announced_plan.calibration_from_message(message)
             settings = calibration.configuration.capture
             self._instruments.use(calibration.configuration)
             topics = self._instruments.topics.settings
@@ -229,7 +229,7 @@ class LengthTrigger:
 
 def main() -> None:
     """Run the capture node."""
-    run(CaptureNode)
+    run_node(CaptureNode)
 
 
 if __name__ == "__main__":

@@ -54,14 +54,14 @@ from rotcal_ros.nodes.capture.instrument_streams import TIMED
 from rotcal_ros.nodes.capture.node import CaptureNode
 from rotcal_ros.nodes.check.snapshot import (
     CellSnapshot,
+    DriverTablePreview,
     Finding,
-    HeaderWatch,
-    TableBehindDriver,
-    brought_line,
+    HeaderMonitor,
+    absent_driver_line,
     cell_lines,
     driver_lines,
-    table_behind_driver,
-    watch_headers,
+    monitor_headers,
+    preview_driver_table,
 )
 from rotcal_ros.nodes.planner import preflight
 from rotcal_ros.nodes.runtime.beat_values import CLOCK_DOUBT, NOW, OFFSET, RATE, REFUSED
@@ -110,17 +110,17 @@ class ListeningNodes:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.executor.add_node(self._ears)
-        self.headers: dict[str, HeaderWatch] = {}
+        self.headers: dict[str, HeaderMonitor] = {}
         self._offsets = StampOffsets(OffsetLimits())
         self._conventions = Conventions(TopicSettings())
-        self.frames = FramesHeard(self.node)
-        self._adapter: TableBehindDriver | None = None
+        self.frames = StaticFrameListener(self.node)
+        self._adapter: DriverTablePreview | None = None
         steady_timer(self.node, _LOOK_S, self._look)
 
     def announce(self, calibration: Calibration) -> None:
         """Publish the plan to the capture that listens, as a planner does."""
         configuration = calibration.configuration
-        self._adapter = table_behind_driver(self.node, configuration)
+        self._adapter = preview_driver_table(self.node, configuration)
         if self._adapter is not None:
             passed_on = [f"topics.joint_states={self._adapter.topic}"]
             configuration = changed(configuration, passed_on)
@@ -169,7 +169,7 @@ class ListeningNodes:
             if infos and topic not in self.headers:
                 with suppress(BagError):  # a type that is not installed; its line names it
                     kind = message_type(infos[0].topic_type)
-                    self.headers[topic] = watch_headers(
+                    self.headers[topic] = monitor_headers(
                         self.node, kind, name, partial(self._stamped, topic)
                     )
 
@@ -181,7 +181,7 @@ def _configuration(path: str) -> Configuration:
 
 
 def _lines(
-    snapshot: CellSnapshot, frames: FramesHeard, calibration: Calibration | None
+    snapshot: CellSnapshot, frames: StaticFrameListener, calibration: Calibration | None
 ) -> Iterator[CheckLine]:
     yield from cell_lines(snapshot)
     yield from stream_lines(snapshot)
@@ -193,7 +193,7 @@ def _lines(
     if calibration is not None:
         tracer = snapshot.headers.get(names.TRACER_LENGTH)
         rate = tracer.rate_hz if tracer is not None else None
-        yield from DryRun(calibration, table_start(snapshot), rate).lines()
+        yield from DryRun(calibration, measured_table_angle(snapshot), rate).lines()
 
 
 def _listened(
@@ -243,7 +243,7 @@ def _work() -> None:
 _TODO: Final = "publish the points in the machine frame, or set cell.machine_frame to its name"
 
 
-class FramesHeard:
+class StaticFrameListener:
     """The static frames that were heard since this object was made."""
 
     def __init__(self, node: Node) -> None:
@@ -255,7 +255,7 @@ class FramesHeard:
         if named:
             words = (f"{frame or 'no frame_id'} in {', '.join(t)}" for frame, t in named.items())
             yield CheckLine("frames", "headers", "note", "; ".join(words))
-        for doubt in preflight.frame_doubts(snapshot.values, snapshot.configuration):
+        for doubt in preflight.frame_warnings(snapshot.values, snapshot.configuration):
             yield CheckLine("frames", "probe_point", "doubt", doubt, _TODO)
         if not self._static.heard:
             found = "not heard: tf2_msgs is not installed here (a ROS installation has it)"
@@ -328,29 +328,29 @@ def machine_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield a line for the joint and for every order."""
     if snapshot.adapter is not None:
         yield from _adapter_lines(snapshot)
-    elif preflight.joints(snapshot.values):
+    elif preflight.joint_states(snapshot.values):
         yield _joint_line(snapshot)
     for order in ORDERS:
         yield from _order_lines(snapshot, order)
 
 
-def table_start(snapshot: CellSnapshot) -> float:
+def measured_table_angle(snapshot: CellSnapshot) -> float:
     """Return where the table stands (rad), as far as it was heard."""
     angle = preflight.table_angle(snapshot.values, snapshot.configuration)
     return angle if isfinite(angle) and not next(_doubts(snapshot), "") else 0.0
 
 
 def _doubts(snapshot: CellSnapshot) -> Iterator[str]:
-    return preflight.joint_doubts(snapshot.values, snapshot.configuration)
+    return preflight.table_angle_warnings(snapshot.values, snapshot.configuration)
 
 
 def _joint_line(snapshot: CellSnapshot) -> CheckLine:
     joint = snapshot.configuration.cell.joint
-    chosen = preflight.chosen_joint(snapshot.values, joint)
+    chosen = preflight.table_joint(snapshot.values, joint)
     if fault := next(snapshot.joint_faults(), ""):
-        there = ", ".join(map(printable, preflight.joints(snapshot.values)))
+        there = ", ".join(map(printable, preflight.joint_states(snapshot.values)))
         return CheckLine("table", "joint", "missing", fault, f"cell.joint: one of {there}")
-    angle, speed = preflight.joints(snapshot.values)[chosen]
+    angle, speed = preflight.joint_states(snapshot.values)[chosen]
     speed_text = f"{speed / DEGREE:.3g}°/s" if isfinite(speed) else "its speed by its angles"
     found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed_text}"
     if doubt := next(_doubts(snapshot), ""):
@@ -368,7 +368,7 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
         return
     stray = sorted({*machines} & {*snapshot.strangers})
     own = [node for node in machines if node not in stray]
-    line = brought_line(snapshot, part, order, "obeys it")
+    line = absent_driver_line(snapshot, part, order, "obeys it")
     if line is not None:
         yield line
     elif snapshot.started_by_us and not machines:
@@ -405,7 +405,7 @@ def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     elif outside := snapshot.adapter.outside():
         todo = "publish the joint in rad, or correct table_adapter.lower_deg and upper_deg"
         yield CheckLine("table", "joint", "doubt", outside, todo)
-    elif preflight.joints(snapshot.values):
+    elif preflight.joint_states(snapshot.values):
         yield _joint_line(snapshot)
     if not snapshot.started_by_us:
         yield from snapshot.adapter.controller_lines()
@@ -471,7 +471,7 @@ def _line(snapshot: CellSnapshot, topic: str) -> CheckLine:
     part = STREAMS[topic]
     offers, watch = (
         snapshot.graph.offers(snapshot.name(topic)),
-        snapshot.headers.get(topic, HeaderWatch()),
+        snapshot.headers.get(topic, HeaderMonitor()),
     )
     if not offers:
         return _absent(snapshot, topic)
@@ -491,22 +491,22 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
     name = snapshot.name(topic)
     if snapshot.started_by_us:
         return CheckLine(part, topic, "note", "simulated: rotcal run starts it")
-    if line := brought_line(snapshot, part, topic, "publishes it"):
+    if line := absent_driver_line(snapshot, part, topic, "publishes it"):
         return line
     planned = snapshot.calibration
-    required, wished = preflight.expected_air(planned) if planned else ([], [])
+    required, wished = preflight.expected_air_topics(planned) if planned else ([], [])
     if topic in snapshot.topics or topic in required:
         why = snapshot.unusable(topic) or ""
         todo = snapshot.graph.elsewhere(topic, name) or f"publish {kind} on {name}"
         return CheckLine(part, topic, "missing", why, todo)
     if topic in wished:
-        why = preflight.without_air(topic, name, snapshot.configuration)
+        why = preflight.missing_air_consequence(topic, name, snapshot.configuration)
         return CheckLine(part, topic, "doubt", f"no node publishes {name}", why)
     return CheckLine(part, topic, "note", "no node publishes it, and it is not needed")
 
 
 def _problem(
-    snapshot: CellSnapshot, topic: str, offers: list[Any], watch: HeaderWatch
+    snapshot: CellSnapshot, topic: str, offers: list[Any], watch: HeaderMonitor
 ) -> Finding | None:
     """Return why a stream cannot be used to measure; None: it can."""
     kind, name = OWN[topic], snapshot.name(topic)
@@ -548,23 +548,23 @@ def _faults(snapshot: CellSnapshot, topic: str) -> Iterator[str]:
     yield from (text for role, text in rates if role == topic)
 
 
-def _silent(watch: HeaderWatch, name: str) -> str:
+def _silent(watch: HeaderMonitor, name: str) -> str:
     if not watch.count:
         return f"let its node publish on {name} before it is asked, at least once a second"
     return f"{name} delivers nothing usable: see its status, and whether its numbers are finite"
 
 
-def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | None:
+def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderMonitor) -> Finding | None:
     """Return what looks wrong with a stream although it can be used to measure."""
     limit_s, name = snapshot.configuration.capture.stamp_offset_s, snapshot.name(topic)
     planned, is_table, values = snapshot.calibration, topic == names.JOINT_STATES, snapshot.values
-    if planned and (small := next(preflight.size_doubts(values, planned, topic), None)):
+    if planned and (small := next(preflight.unit_warnings(values, planned, topic), None)):
         return Finding(small, _as_it_says(small, f"publish {name} in metres"))
-    slow = preflight.slow_table if is_table else preflight.slow_lengths
+    slow = preflight.table_rate_warnings if is_table else preflight.length_rate_warnings
     rare = is_table or topic == names.TRACER_LENGTH
     if rare and (found := next(slow(values, snapshot.configuration), None)):
         return Finding(found, f"publish {name} more often")
-    if topic in _IN_WORDS and (odd := next(preflight.air_doubts(values, topic), None)):
+    if topic in _IN_WORDS and (odd := next(preflight.air_warnings(values, topic), None)):
         return Finding(odd, _as_it_says(odd, f"publish {name} in {_IN_WORDS[topic]}"))
     fast = snapshot.configuration.simulated  # a simulation may run on a time of its own
     if watch.ahead_s is not None and abs(watch.ahead_s) > limit_s and not fast:

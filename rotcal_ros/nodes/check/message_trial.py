@@ -16,15 +16,15 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from rotcal_msgs.msg import TableAngle
 
 from rotcal_ros.nodes.runtime.qos import LATCHED
-from rotcal_ros.nodes.runtime.running import Peer
+from rotcal_ros.nodes.runtime.running import PeerNode
 
 DEADLINE_S: Final = 10.0
 TURN_S: Final = 0.02
 
 
-def round_trip() -> float | None:
+def measure_round_trip() -> float | None:
     """Return the seconds from the first sign of life to the answer; None after the deadline."""
-    here, there = Peer("doctor_here"), Peer("doctor_there")
+    here, there = PeerNode("doctor_here"), PeerNode("doctor_there")
     returned: list[TableAngle] = []
     echo = there.node.create_publisher(TableAngle, "doctor_back", LATCHED)
     there.node.create_subscription(TableAngle, "doctor_out", echo.publish, LATCHED)
@@ -44,7 +44,7 @@ def round_trip() -> float | None:
 
 def main() -> int:
     """Run the self-test and print the outcome in one line."""
-    seconds = round_trip()
+    seconds = measure_round_trip()
     rmw = get_rmw_implementation_identifier()
     if seconds is None:
         sys.stdout.write(f"{rmw}: no message came back within {DEADLINE_S:g} s\n")

@@ -26,10 +26,10 @@ from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.machine_load import WaitBudget
-from rotcal_ros.nodes.recorder.recording import BagRecording, Messages, own_channel
+from rotcal_ros.nodes.recorder.recording import BagRecording, SerializedMessages, own_channel
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.qos import LISTENING_DEPTH, STREAM
-from rotcal_ros.nodes.runtime.running import Peer, use_middleware
+from rotcal_ros.nodes.runtime.running import PeerNode, use_middleware
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, DrainedSubscription, sent_ns
 from rotcal_ros.planning.settings import HealthSettings
 
@@ -40,7 +40,7 @@ MATCH_S: Final = 10.0
 REST_S: Final = 5.0
 
 
-class TrialListener:
+class ReadingCounter:
     """Does what recorder and capture do with readings: keeps their bytes and decodes them."""
 
     def __init__(self, recording: BagRecording) -> None:
@@ -55,13 +55,13 @@ class TrialListener:
         now_s = time.monotonic()
         self.longest_s = max(self.longest_s, now_s - (self._last_s or now_s))
         self._last_s = now_s
-        self._recording.put(Messages.taken(self._channel, batch))
+        self._recording.put(SerializedMessages.taken(self._channel, batch))
         sent = [(deserialize_message(data, TracerLength), sent_ns(info)) for data, info in batch]
         records = self._interpreter.records(names.TRACER_LENGTH, self._kind, sent)
         self.understood += len(records)
 
 
-def publish(peer: Peer, count: int) -> None:
+def publish_readings(peer: PeerNode, count: int) -> None:
     """Publish so many readings at the rate, and make up for late ones."""
     publisher = peer.node.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
     budget = WaitBudget(MATCH_S)
@@ -69,23 +69,23 @@ def publish(peer: Peer, count: int) -> None:
         time.sleep(0.01)
     begin_s = time.monotonic()
     for number in range(count):
-        header = conversions.header(time.time_ns())
+        header = conversions.make_header(time.time_ns())
         publisher.publish(TracerLength(header=header, sequence=number, length=1.0))
         if (early_s := begin_s + (number + 1) / RATE_HZ - time.monotonic()) > 0.0:
             time.sleep(early_s)
 
 
-def try_rate(folder: Path) -> tuple[bool, str]:
+def run_rate_trial(folder: Path) -> tuple[bool, str]:
     """Return whether the rate was held, and the findings in words."""
     count = round(RATE_HZ * TRIAL_S)
-    here, there = Peer("doctor_instrument", "/doctor"), Peer("doctor_recorder", "/doctor")
+    here, there = PeerNode("doctor_instrument", "/doctor"), PeerNode("doctor_recorder", "/doctor")
     recording = BagRecording(BagWriter(folder / "bag"), QUEUE_BYTES, lambda *_: None)
-    heard = TrialListener(recording)
+    heard = ReadingCounter(recording)
     depth = QoSProfile(depth=LISTENING_DEPTH)
     listening = DrainedSubscription(
         there.node, TracerLength, names.TRACER_LENGTH, depth, heard.hear, raw=True
     )
-    sending = threading.Thread(target=publish, args=(here, count))
+    sending = threading.Thread(target=publish_readings, args=(here, count))
     sending.start()
     there.work_until(lambda: not sending.is_alive(), 2.0 * TRIAL_S + MATCH_S)
     budget = WaitBudget(REST_S)
@@ -96,10 +96,12 @@ def try_rate(folder: Path) -> tuple[bool, str]:
     recording.join(REST_S)
     here.close()
     there.close()
-    return verdict(count, heard.understood, recording, heard.longest_s)
+    return rate_verdict(count, heard.understood, recording, heard.longest_s)
 
 
-def verdict(count: int, came: int, recording: BagRecording, longest_s: float) -> tuple[bool, str]:
+def rate_verdict(
+    count: int, came: int, recording: BagRecording, longest_s: float
+) -> tuple[bool, str]:
     """Return whether all of ``count`` readings came and were written, and that in words."""
     limit_s = HealthSettings().slow_after_s
     written = recording.messages
@@ -117,7 +119,7 @@ def main() -> int:
     use_middleware()
     parent = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     with tempfile.TemporaryDirectory(prefix=".doctor", dir=parent) as folder:
-        ok, text = try_rate(Path(folder))
+        ok, text = run_rate_trial(Path(folder))
     sys.stdout.write(f"{text}\n")
     return 0 if ok else 1
 

@@ -44,7 +44,7 @@ class Finding(NamedTuple):
     todo: str
 
 
-class TableBehindDriver(Protocol):
+class DriverTablePreview(Protocol):
     """The table behind a driver that does not run yet, judged as the driver will judge it."""
 
     topic: str
@@ -60,7 +60,7 @@ class TableBehindDriver(Protocol):
 
 
 @dataclass
-class HeaderWatch:
+class HeaderMonitor:
     """The headers of the messages since the beginning; times of arrival are of this machine.
 
     ``heard_s`` is the monotonic time of the latest one: setting a clock does not look like
@@ -124,11 +124,11 @@ class CellSnapshot:
 
     graph: CellGraph
     values: Values
-    headers: Mapping[str, HeaderWatch]
+    headers: Mapping[str, HeaderMonitor]
     configuration: Configuration
     calibration: Calibration | None
     compared: tuple[str, ...]
-    adapter: TableBehindDriver | None = None
+    adapter: DriverTablePreview | None = None
 
     def name(self, role: str) -> str:
         """Return the absolute name of the topic of a role, as the capture knows it."""
@@ -161,7 +161,7 @@ class CellSnapshot:
     @cached_property
     def brought(self) -> Mapping[str, list[str]]:
         """Role -> nodes, for what the drivers that ``rotcal run`` starts will publish or obey."""
-        return brought(self)
+        return roles_of_absent_drivers(self)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -197,7 +197,7 @@ class CellSnapshot:
         return simulated and not self.publishers(names.JOINT_STATES)
 
 
-def table_behind_driver(node: Node, configuration: Configuration) -> TableBehindDriver | None:
+def preview_driver_table(node: Node, configuration: Configuration) -> DriverTablePreview | None:
     """Return the table behind a driver of the configuration; None: no driver has one."""
     for _, check in _checks(configuration):
         if check.ears is not None:
@@ -205,7 +205,7 @@ def table_behind_driver(node: Node, configuration: Configuration) -> TableBehind
     return None
 
 
-def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
+def roles_of_absent_drivers(snapshot: CellSnapshot) -> dict[str, list[str]]:
     """Return role -> nodes, for what drivers that do not run yet will publish or obey."""
     found: dict[str, list[str]] = {}
     for group, check in _checks(snapshot.configuration):
@@ -215,7 +215,9 @@ def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
     return found
 
 
-def brought_line(snapshot: CellSnapshot, part: str, role: str, does: str) -> CheckLine | None:
+def absent_driver_line(
+    snapshot: CellSnapshot, part: str, role: str, does: str
+) -> CheckLine | None:
     """Return the line of a role that a driver will take; None if none will."""
     nodes = snapshot.brought.get(role, [])
     if not nodes:
@@ -302,14 +304,14 @@ def read_header(data: bytes) -> tuple[int, str]:
     return int(seconds) * 1_000_000_000 + int(nanoseconds), frame
 
 
-def watch_headers(
+def monitor_headers(
     node: Node, message_type: Any, topic: str, stamped: Callable[[int, int, int], None]
-) -> HeaderWatch:
+) -> HeaderMonitor:
     """Return the headers on an absolute ``topic`` from now on, whoever publishes them.
 
     ``stamped`` is called with stamp, time of sending and of arrival (ns) of every stamped message.
     """
-    watch = HeaderWatch(has_header="header" in message_type.get_fields_and_field_types())
+    watch = HeaderMonitor(has_header="header" in message_type.get_fields_and_field_types())
 
     def take(batch: Batch) -> None:
         for data, info in batch:

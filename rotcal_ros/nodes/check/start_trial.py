@@ -24,7 +24,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_names import NODES
-from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE, Peer
+from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE, PeerNode
 
 START_S: Final = 40.0
 END_S: Final = 5.0
@@ -78,7 +78,7 @@ class TrialNode:
         self._output.close()
 
 
-def trial() -> float:
+def start_and_end_all_nodes() -> float:
     """Start all nodes and end them; return the seconds until all beat. Raises NodeError."""
     beating: set[str] = set()
 
@@ -86,7 +86,7 @@ def trial() -> float:
         beating.add(beat.node)
 
     with ExitStack() as stack:
-        peer = Peer("doctor", _NAMESPACE)
+        peer = PeerNode("doctor", _NAMESPACE)
         stack.callback(peer.close)
         qos, start = QoSProfile(depth=100), time.monotonic()
         nodes = []
@@ -119,7 +119,7 @@ def trial() -> float:
 def main() -> int:
     """Run the trial and print the outcome in one line."""
     try:
-        took = trial()
+        took = start_and_end_all_nodes()
     except NodeError as error:
         sys.stdout.write(f"{error}\n")
         return 1

@@ -25,10 +25,10 @@ from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.trial_motion import TRIAL_DEG, TrialMotion, beams_of
 from rotcal_ros.nodes.capture.instrument_streams import InstrumentStreams
 from rotcal_ros.nodes.runtime.cell_graph import CellGraph
-from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.cell_node import CellNode, wait_for_condition
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.planning.settings import SafetySettings
 from rotcal_ros.planning.table_feedback import is_near
 
@@ -89,12 +89,14 @@ class TrialMotionNode(CellNode):
         self._done = True
 
     async def _there(self) -> TrialMotion:
-        ready = await until(self._ready, START_S)
+        ready = await wait_for_condition(self._ready, START_S)
         if ready and self._calibration.place_on_table() is not None:
-            await until(lambda: bool(self._lengths) and self._probe is not None, START_S)
+            await wait_for_condition(
+                lambda: bool(self._lengths) and self._probe is not None, START_S
+            )
         begun_s = time.monotonic()
         if ready:
-            await until(lambda: time.monotonic() > begun_s + BEFORE_S, 2.0 * BEFORE_S)
+            await wait_for_condition(lambda: time.monotonic() > begun_s + BEFORE_S, 2.0 * BEFORE_S)
         absent = None if ready else "the table or its feedback is not there"
         if fault := self._why_not() or absent:
             return TrialMotion(0.0, 0.0, 0.0, np.empty((0, 3)), np.empty((0, 2)), fault=fault)
@@ -130,7 +132,7 @@ class TrialMotionNode(CellNode):
                 since_s = now_s
             return bool(self._stop.latched) or now_s > since_s + patience_s
 
-        await until(rests, TURN_S)
+        await wait_for_condition(rests, TURN_S)
 
     def _way(self, start: float) -> float:
         """Return how far to turn: away from the nearer end of the travel, if one is stated."""
@@ -172,7 +174,7 @@ class TrialMotionNode(CellNode):
 
 def main() -> None:
     """Run the trial."""
-    run(TrialMotionNode)
+    run_node(TrialMotionNode)
 
 
 if __name__ == "__main__":

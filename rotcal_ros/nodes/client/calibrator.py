@@ -36,7 +36,7 @@ from rotcal_ros.foundation.untrusted import cause_of, load_json, read_text
 from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.configuration import configuration_text
 from rotcal_ros.nodes.runtime.health import PLANNER, Health
-from rotcal_ros.nodes.runtime.running import Peer, use_middleware
+from rotcal_ros.nodes.runtime.running import PeerNode, use_middleware
 
 CANCEL_TIMEOUT_S: Final = 15.0
 ANSWER_TIMEOUT_S: Final = 10.0
@@ -66,7 +66,7 @@ class Calibrator:
         self, namespace: str = "/cell", *, name: str = "calibrator", args: Sequence[str] = ()
     ) -> None:
         use_middleware()
-        self._peer = Peer(name, namespace, args)
+        self._peer = PeerNode(name, namespace, args)
         self.node = self._peer.node
         self._action = ActionClient(self.node, Calibrate, "calibrate")
         self._resume = self.node.create_client(Trigger, "resume")
@@ -111,7 +111,9 @@ class Calibrator:
         """
         if self._running():
             raise CalibratorError("a calibration is running: wait for result() or call cancel()")
-        goal = Calibrate.Goal(configuration=text_of(configuration), start_index=start_index)
+        goal = Calibrate.Goal(
+            configuration=read_configuration_text(configuration), start_index=start_index
+        )
         self.wait_until_ready()
         self._feedback, self._outcome, self._deadline_s = None, None, math.inf
         self._handle = self._answer = None
@@ -191,7 +193,7 @@ class Calibrator:
             return Outcome.of(self._answer.result())
         lost = Calibrate.Result.NODE_LOST
         if silent:
-            return Outcome(error_code=lost, error_msg=planner_lost(self._feedback))
+            return Outcome(error_code=lost, error_msg=planner_lost_message(self._feedback))
         if time.monotonic() > self._deadline_s:
             return Outcome(error_code=lost, error_msg=self.no_answer())
         return None
@@ -253,7 +255,7 @@ class Feedback:
         )
 
 
-def planner_lost(last: Feedback | None) -> str:
+def planner_lost_message(last: Feedback | None) -> str:
     """Say that the planner is lost, and how to go on after its ``last`` feedback."""
     text = "node planner is lost"
     if last is None or not last.accepted:
@@ -298,7 +300,7 @@ class Outcome:
             ) from error
 
 
-def text_of(configuration: Path | str | Configuration) -> str:
+def read_configuration_text(configuration: Path | str | Configuration) -> str:
     """Return the YAML text of a configuration, given as text or as a file."""
     if isinstance(configuration, Configuration):
         return configuration.text

@@ -30,11 +30,11 @@ from rotcal_ros.nodes.client.calibrator import (
     GoalRefusedError,
     Outcome,
 )
-from rotcal_ros.nodes.runtime.beat_values import warnings_told
-from rotcal_ros.nodes.runtime.clocks import jumps_in_words
+from rotcal_ros.nodes.runtime.beat_values import reported_warnings
+from rotcal_ros.nodes.runtime.clocks import describe_clock_jumps
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S, HEAR_PERIOD_S
 from rotcal_ros.nodes.runtime.liveness import OtherSessionError, require_own_session
-from rotcal_ros.nodes.runtime.running import EndRequest, run_and_exit, say
+from rotcal_ros.nodes.runtime.running import EndRequest, print_event, run_and_exit
 
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
@@ -63,7 +63,7 @@ class Client:
         path = self._calibrator.node.declare_parameter("configuration_file", "").value
         start_index = self._calibrator.node.declare_parameter("start_index", 0).value
         timeout_s = self._calibrator.node.declare_parameter("server_timeout_s", 30.0).value
-        say("waiting")
+        print_event("waiting")
         try:
             if self._planner_came(timeout_s):
                 self._calibrator.start(Path(path) if path else "", start_index)
@@ -71,11 +71,11 @@ class Client:
             else:
                 outcome = Outcome(error_code=Calibrate.Result.CANCELED, error_msg="canceled")
         except (GoalRefusedError, OtherSessionError) as error:
-            say("refused", reason=str(error))
+            print_event("refused", reason=str(error))
             return
         except CalibratorError as error:
             outcome = Outcome(error_code=Calibrate.Result.NODE_LOST, error_msg=str(error))
-        say("result", **asdict(outcome))
+        print_event("result", **asdict(outcome))
 
     def _planner_came(self, timeout_s: float) -> bool:
         """Wait for the planner; False if the client has to end, CalibratorError if none comes."""
@@ -93,7 +93,7 @@ class Client:
 
     def _followed(self) -> Outcome:
         """Report on the goal until it ends."""
-        say("started")
+        print_event("started")
         canceling = done = False
         while not done:
             if self._end and not canceling:
@@ -112,17 +112,17 @@ class Client:
         """Print that this client is alive, and once the address of the page."""
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
-            say("alive", planner=self._calibrator.planner_state.describe())
+            print_event("alive", planner=self._calibrator.planner_state.describe())
         page = self._calibrator.health.node_state(VIEWERS[PAGE]).page
         if page and page != self._page:
             self._page = page
-            say("page", address=page)
+            print_event("page", address=page)
 
     def _warn(self) -> None:
         """Report each kind of warning once, and a jump that all nodes report only once."""
         health = self._calibrator.health
-        jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
-        concerns = ((reason_kind(text), text) for text in warnings_told(health))
+        jumps = ((text.partition(" at ")[0], text) for text in describe_clock_jumps(health))
+        concerns = ((reason_kind(text), text) for text in reported_warnings(health))
         slow = [
             f"planner: no sign of it for {s:.1f} s: slow, not lost; {describe_load()}"
             for name, s in health.slow.items()
@@ -130,17 +130,17 @@ class Client:
         ]
         for kind, text in (*jumps, *concerns, *((reason_kind(t), t) for t in slow)):
             if kind not in self._warned:
-                say("warning", text=text)
+                print_event("warning", text=text)
             self._warned.add(kind)
 
     def _show(self, feedback: Feedback | None) -> None:
         if feedback is None or feedback is self._shown:
             return
         before, self._shown = self._shown, feedback
-        say("feedback", **asdict(feedback))
+        print_event("feedback", **asdict(feedback))
         instruction = feedback.instruction
         if instruction and (before is None or instruction != before.instruction):
-            say("paused", instruction=instruction, doing=feedback.doing)
+            print_event("paused", instruction=instruction, doing=feedback.doing)
 
     def _listen(self) -> None:
         """Handle the lines on standard input until it ends."""
@@ -157,7 +157,7 @@ class Client:
                 self._calibrator.resume()
             except CalibratorError as error:
                 reason = str(error)
-            say("resumed", success=not reason, reason=reason)
+            print_event("resumed", success=not reason, reason=reason)
 
 
 def _work() -> None:

@@ -44,7 +44,7 @@ PATIENCE_S: Final = 10.0
 """An order may wait this long for the table before a person is told why."""
 
 
-def instrument_of(settings: InstrumentSettings) -> Instrument:
+def make_instrument(settings: InstrumentSettings) -> Instrument:
     """Return the instrument that the settings name; ConfigurationError when there is none."""
     make: Make = load(INSTRUMENTS, settings.plugin, "instrument (instrument.plugin)")
     options = settings.by_name()
@@ -66,7 +66,7 @@ def instrument_of(settings: InstrumentSettings) -> Instrument:
 
 
 @dataclass(frozen=True)
-class Listeners:
+class DriverCallbacks:
     """Functions that get what the driver finds; its thread calls them."""
 
     length: Callable[[TracerSample], None]
@@ -89,7 +89,7 @@ class InstrumentDriver:
         self,
         instrument: Instrument,
         settings: InstrumentSettings,
-        listeners: Listeners,
+        listeners: DriverCallbacks,
         why_not: Callable[[Command], str | None] = lambda _: None,
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
@@ -215,7 +215,7 @@ class InstrumentDriver:
         return order.answered(stamp_ns, self._places - 1, place.position, place.std)
 
 
-class TableRest:
+class TableRestDetector:
     """Hears the feedback; the table is at rest after ``settle_s`` in position and slow enough.
 
     ``tolerance_arcsec`` and ``speed_deg_s`` are those of the capture, which checks again.
@@ -258,10 +258,10 @@ class TableRest:
         return not is_near(sample.angle, angle, self._tolerance)
 
 
-def brings(settings: InstrumentSettings) -> tuple[str, ...]:
+def provided_roles(settings: InstrumentSettings) -> tuple[str, ...]:
     """Return what the plug-in provides; nothing where it cannot be made, which its line says."""
     try:
-        instrument = instrument_of(settings)
+        instrument = make_instrument(settings)
     except RotcalError:
         return ()
     lengths = (names.TRACER_LENGTH,) if isinstance(instrument, Tracer) else ()
@@ -269,14 +269,14 @@ def brings(settings: InstrumentSettings) -> tuple[str, ...]:
     return lengths + places
 
 
-def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLine:
+def check_line(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLine:
     """Return a line on the plug-in; only its driver may connect, since that may move something."""
     title = f"plug-in {settings.plugin}, {settings.address or 'no address'}"
     if here:
         found = f"{title}: node instrument_driver is here"
         return CheckLine("instrument", "plug-in", "note", found)
     try:
-        instrument = instrument_of(settings)
+        instrument = make_instrument(settings)
     except RotcalError as error:
         todo = "group instrument of the configuration; rotcal settings instrument"
         return CheckLine("instrument", "plug-in", "missing", str(error), todo)
@@ -286,4 +286,4 @@ def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLin
     return CheckLine("instrument", "plug-in", "open", f"{title}: {found}", todo)
 
 
-CHECK = DriverCheck(brings, look)
+CHECK = DriverCheck(provided_roles, check_line)

@@ -16,26 +16,26 @@ from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TracerSample
 from rotcal_ros.nodes.capture.instrument_streams import InstrumentTopics
 from rotcal_ros.nodes.instrument_driver.driver import (
+    DriverCallbacks,
     InstrumentDriver,
-    Listeners,
-    TableRest,
-    instrument_of,
+    TableRestDetector,
+    make_instrument,
 )
 from rotcal_ros.nodes.instrument_driver.instrument import InstrumentError, Tracer, Tracker
 from rotcal_ros.nodes.instrument_driver.settings import InstrumentSettings
 from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.beat_values import COMPLAINT, show
+from rotcal_ros.nodes.runtime.beat_values import COMPLAINT, set_warning
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, sent_ns
 from rotcal_ros.planning.settings import CellSettings
 
 
-class TableHearing:
+class TableFeedbackSubscription:
     """Passes the feedback of ``joint`` to ``rest``; topic, type and units as for the capture."""
 
-    def __init__(self, node: CellNode, joint: str, rest: TableRest) -> None:
+    def __init__(self, node: CellNode, joint: str, rest: TableRestDetector) -> None:
         self._joint, self._rest = joint, rest
         self._topics = InstrumentTopics(node, self._switched)
         self._interpreter = Interpreter(self._topics.settings, joint)
@@ -74,8 +74,8 @@ class InstrumentDriverNode(CellNode):
         self._settings = self.settings("instrument", InstrumentSettings)
         rest = self.settings("capture", CaptureSettings)
         joint = self.settings("cell", CellSettings).joint
-        self._table: TableHearing | None = None
-        self._instrument = instrument_of(self._settings)
+        self._table: TableFeedbackSubscription | None = None
+        self._instrument = make_instrument(self._settings)
         if isinstance(self._instrument, Tracer):
             self._lengths = self.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
         self._driver = self._new_driver()
@@ -83,8 +83,8 @@ class InstrumentDriverNode(CellNode):
             self._places = self.create_publisher(ProbePoint, names.PROBE_POINT, EVENT)
             self.take_orders(lambda command: self._driver.order(command))
             tolerance, speed = rest.position_tolerance_arcsec, rest.velocity_tolerance_deg_s
-            table_rest = TableRest(tolerance, speed, rest.settle_time_s)
-            self._table = TableHearing(self, joint, table_rest)
+            table_rest = TableRestDetector(tolerance, speed, rest.settle_time_s)
+            self._table = TableFeedbackSubscription(self, joint, table_rest)
         self.every(LOOK_PERIOD_S, self._look)
 
     def activated(self) -> None:
@@ -103,7 +103,7 @@ class InstrumentDriverNode(CellNode):
         return not self._driver.alive
 
     def _new_driver(self) -> InstrumentDriver:
-        listeners = Listeners(self._tell_length, self._tell_place, self._complain)
+        listeners = DriverCallbacks(self._tell_length, self._tell_place, self._complain)
         return InstrumentDriver(
             self._instrument, self._settings, listeners, self._why_not, self.now_ns
         )
@@ -119,7 +119,7 @@ class InstrumentDriverNode(CellNode):
 
     def _look(self) -> None:
         trouble = self._driver.trouble
-        show(self.health, COMPLAINT, trouble or self._driver.waits, alarm=bool(trouble))
+        set_warning(self.health, COMPLAINT, trouble or self._driver.waits, alarm=bool(trouble))
 
     def _tell_length(self, sample: TracerSample) -> None:
         self._lengths.publish(conversions.tracer_message(sample))
@@ -136,7 +136,7 @@ class InstrumentDriverNode(CellNode):
 
 def main() -> None:
     """Run the driver."""
-    run(InstrumentDriverNode)
+    run_node(InstrumentDriverNode)
 
 
 if __name__ == "__main__":

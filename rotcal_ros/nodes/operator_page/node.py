@@ -1,9 +1,9 @@
 """The operator's page: shows in a browser what the cell does, and passes on a person's requests.
 
 It receives what the nodes publish anyway and subscribes to no instrument; no node waits for it.
-FollowedGoal follows the planner's latest goal, whoever sent it; PageTopics takes plan, deviations,
-rejected attempts, orders and warnings; CapturedValues takes rates, readings and temperatures from
-the beat of the capture; WaitingTable is the compensation table that waits at the bridge, and its
+GoalFollower follows the planner's latest goal, whoever sent it; PageTopics takes plan, deviations,
+rejected attempts, orders and warnings; CaptureValues takes rates, readings and temperatures from
+the beat of the capture; PendingTable is the compensation table that waits at the bridge, and its
 confirmation by a person.
 """
 
@@ -46,30 +46,30 @@ from rotcal_ros.methods import Calibration
 from rotcal_ros.nodes.bridge.node import NEVER, OFFERED, WITHHELD
 from rotcal_ros.nodes.client.calibrator import Feedback, Outcome
 from rotcal_ros.nodes.operator_page import sections as page_sections
-from rotcal_ros.nodes.runtime.announced_plan import calibration_of
+from rotcal_ros.nodes.runtime.announced_plan import calibration_from_message
 from rotcal_ros.nodes.runtime.beat_values import NOW, SILENT
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, VIEW
-from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.page.app import Answer, PageServer
+from rotcal_ros.nodes.runtime.running import run_node
+from rotcal_ros.page.app import ActionOutcome, PageServer
 from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.page.state import (
-    Board,
     Cell,
-    Course,
-    HeardPlanner,
     LiveReading,
     LogLine,
-    Pointing,
+    OrderedStep,
+    PlannerStatus,
     Points,
     RejectedAttempt,
     ShownOffer,
     ShownUncertainty,
+    StateBoard,
     StepProgress,
     Temperature,
     TopicState,
-    now,
+    ValueHistory,
+    current_activity,
 )
 
 PERIOD_S: Final = 0.25
@@ -86,14 +86,14 @@ class OperatorPage(CellNode):
     def configure(self) -> None:
         """Serve the page."""
         settings = self.settings("page", PageSettings)
-        self.board = Board()
-        self._streams = CapturedValues()
-        self._course = Course()
+        self.board = StateBoard()
+        self._streams = CaptureValues()
+        self._course = ValueHistory()
         self._drawn: float | None = None
         self._beat: object = None
         self._ending_s: float | None = None
-        self._goal = FollowedGoal(self, self._begin)
-        self._table = WaitingTable(self)
+        self._goal = GoalFollower(self, self._begin)
+        self._table = PendingTable(self)
         self._topics = PageTopics(self, self.board)
         if "simulation" in self.given:
             self.board.show(cell=Cell(simulated=True))
@@ -101,15 +101,15 @@ class OperatorPage(CellNode):
         self._server = PageServer(settings, self.board, self)
         self.get_logger().info(f"page: {self._server.address}")
 
-    def resume(self, instruction: str) -> Future[Answer]:
+    def resume(self, instruction: str) -> Future[ActionOutcome]:
         """Go on after a person's work; called from the server's thread."""
         return self._asked(partial(self._goal.resume, instruction))
 
-    def stop(self) -> Future[Answer]:
+    def stop(self) -> Future[ActionOutcome]:
         """Cancel the goal; called from the server's thread."""
         return self._asked(self._goal.stop)
 
-    def apply(self, confirmation: str, secret: str) -> Future[Answer]:
+    def apply(self, confirmation: str, secret: str) -> Future[ActionOutcome]:
         """Confirm a table; called from the server's thread."""
         return self._asked(partial(self._table.apply, confirmation, secret))
 
@@ -127,25 +127,25 @@ class OperatorPage(CellNode):
             return self._server.closed
         return False
 
-    def _asked(self, work: Callable[[], Awaitable[Answer]]) -> Future[Answer]:
+    def _asked(self, work: Callable[[], Awaitable[ActionOutcome]]) -> Future[ActionOutcome]:
         """Run ``work`` in the executor; the future is for the thread of the server."""
-        future: Future[Answer] = Future()
+        future: Future[ActionOutcome] = Future()
 
         async def do() -> None:
             try:
-                inactive = Answer(False, str(self.not_active_error()))
+                inactive = ActionOutcome(False, str(self.not_active_error()))
                 answer = await work() if self.active else inactive
                 future.set_result(answer)
             except Exception as error:
                 self.health.note_error("request of a person", error)
-                future.set_result(Answer(False, str(error)))
+                future.set_result(ActionOutcome(False, str(error)))
 
         self.executor.create_task(do)
         return future
 
     def _begin(self) -> None:
         """Forget what belongs to an earlier goal."""
-        self._course, self._drawn = Course(), None
+        self._course, self._drawn = ValueHistory(), None
         self._topics.begin()
         self.board.show(standing=ShownUncertainty(), recording=None)
 
@@ -158,25 +158,25 @@ class OperatorPage(CellNode):
             self._streams.hear(health.values("capture"))
         offer = self._table.offer()
         self.board.show(
-            now=now(self._heard(), offer),
+            now=current_activity(self._heard(), offer),
             steps=goal.steps(),
             standing=self._standing(),
             table_deg=self._streams.table_deg(),
             lengths=self._streams.lengths(),
             length_course=self._streams.length_course(),
             temperatures=self._streams.temperatures(),
-            nodes=page_sections.nodes(health),
+            nodes=page_sections.node_states(health),
             streams=self._streams.streams(),
             # An idle recorder says nothing more about the bag that it closed.
-            recording=page_sections.recording(health.values("recorder"))
+            recording=page_sections.recorder_state(health.values("recorder"))
             or self.board.state.recording,
             offer=offer,
         )
 
-    def _heard(self) -> HeardPlanner:
+    def _heard(self) -> PlannerStatus:
         health, goal = self.health, self._goal
         feedback, outcome = goal.feedback, goal.outcome
-        return HeardPlanner(
+        return PlannerStatus(
             planner=health.node_state(PLANNER),
             silent=PLANNER in health.lost,
             calibrating=goal.running or (outcome is None and health.is_calibrating()),
@@ -189,7 +189,7 @@ class OperatorPage(CellNode):
             canceled=outcome is not None and outcome.canceled,
             verdict=outcome.verdict if outcome else "",
             error=outcome.error_msg if outcome else "",
-            command=page_sections.command(outcome.bag_folder) if outcome else "",
+            command=page_sections.resume_command_line(outcome.bag_folder) if outcome else "",
         )
 
     def _activity(self, feedback: Feedback) -> str:
@@ -230,7 +230,7 @@ class OperatorPage(CellNode):
 RUNNING = (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_CANCELING)
 
 
-class FollowedGoal:
+class GoalFollower:
     """The latest goal of the action ``calibrate``: its feedback, and how it ended.
 
     ``begun`` is called with every new goal. ``outcome`` is None while it runs.
@@ -274,15 +274,17 @@ class FollowedGoal:
             end_s=None if left_s is None else round(time.time() + left_s, 1),
         )
 
-    async def resume(self, instruction: str) -> Answer:
+    async def resume(self, instruction: str) -> ActionOutcome:
         """Tell the planner that the work of this instruction is done, once."""
         asked = self.feedback
         if asked is None or not asked.instruction:
-            return Answer(False, phrase("nothing is waiting to be resumed"))
+            return ActionOutcome(False, phrase("nothing is waiting to be resumed"))
         if instruction != asked.instruction:
-            return Answer(False, phrase("the instruction has changed: read the new one first"))
+            return ActionOutcome(
+                False, phrase("the instruction has changed: read the new one first")
+            )
         if not self._resume.service_is_ready():
-            return Answer(False, phrase("the planner does not answer"))
+            return ActionOutcome(False, phrase("the planner does not answer"))
         # Until the planner's next feedback, a second click finds that nothing is asked for.
         going_on = Reason(Why.GOING_ON)
         self.feedback = continuing = replace(
@@ -291,18 +293,18 @@ class FollowedGoal:
         answer = await self._resume.call_async(Trigger.Request())
         if not answer.success and self.feedback is continuing:
             self.feedback = asked
-        return Answer(answer.success, answer.message or phrase("the calibration continues"))
+        return ActionOutcome(answer.success, answer.message or phrase("the calibration continues"))
 
-    async def stop(self) -> Answer:
+    async def stop(self) -> ActionOutcome:
         """Cancel the goal that is followed, and no other."""
         if self._id is None or not self.running:
-            return Answer(False, phrase("no calibration runs"))
+            return ActionOutcome(False, phrase("no calibration runs"))
         request = CancelGoal.Request()
         request.goal_info.goal_id = self._id
         answer = await self._cancel.call_async(request)
         self.stopping = answer.return_code == CancelGoal.Response.ERROR_NONE
         words = phrase("stopping") if self.stopping else phrase("it has ended already")
-        return Answer(self.stopping, words)
+        return ActionOutcome(self.stopping, words)
 
     def _look(self, message: GoalStatusArray) -> None:
         goals = sorted(message.status_list, key=lambda s: stamp_ns(s.goal_info.stamp))
@@ -344,7 +346,7 @@ class PageTopics:
     ``loading`` is true while a plan is read.
     """
 
-    def __init__(self, node: CellNode, board: Board) -> None:
+    def __init__(self, node: CellNode, board: StateBoard) -> None:
         self._node, self._board = node, board
         self._calibration: Calibration | None = None
         self._pause = Pause()
@@ -372,7 +374,7 @@ class PageTopics:
         self.loading = True
         self._node.health.beat()
         try:
-            self._calibration = calibration_of(message)
+            self._calibration = calibration_from_message(message)
         except RotcalError as error:
             self._calibration = None
             self._board.show(cell=Cell(), view=None)
@@ -381,7 +383,7 @@ class PageTopics:
         finally:
             self.loading = False
         self._board.show(
-            cell=page_sections.cell(self._calibration, self._node.get_namespace()),
+            cell=page_sections.cell_section(self._calibration, self._node.get_namespace()),
             view=page_sections.plan_view(self._calibration),
         )
         self._show_task()
@@ -389,7 +391,7 @@ class PageTopics:
     def _take_deviations(self, message: DeviationArray) -> None:
         if self._calibration and message.plan_id == self._calibration.configuration.plan_id:
             identity = self._calibration.configuration.identity
-            found = page_sections.deviations(message, identity)
+            found = page_sections.deviations_section(message, identity)
             self._board.show(deviations=found)
             ecc = next((c for c in found.curves if c.name == "ECC"), None)
             known = [u for u in ecc.expanded if u is not None] if ecc else []
@@ -411,7 +413,9 @@ class PageTopics:
         """Show what the latest pause is for, once its plan has come too."""
         known, pause = self._calibration, self._pause
         ours = known is not None and known.configuration.plan_id == pause.plan_id
-        self._board.show(task=page_sections.task(known, pause) if known and ours else None)
+        self._board.show(
+            task=page_sections.operator_task(known, pause) if known and ours else None
+        )
 
     def _take_log(self, message: Log) -> None:
         if message.level >= LoggingSeverity.WARN:
@@ -429,11 +433,11 @@ class PageTopics:
         angle_deg = round(order.table_angle / DEGREE, 3)
         self._visited[angle_deg % 360.0] = None
         self._board.show(
-            pointing=Pointing(
+            pointing=OrderedStep(
                 place=step.describe(order.attempt),
                 table_angle_deg=angle_deg,
-                target=page_sections.above(order.position),
-                stand=None if place is None else page_sections.above(place),
+                target=page_sections.seen_from_above(order.position),
+                stand=None if place is None else page_sections.seen_from_above(place),
                 visited_deg=tuple(self._visited),
             )
         )
@@ -452,13 +456,13 @@ WORDS: Final = {
 HOUR_S: Final = 3600.0
 
 
-class CapturedValues:
+class CaptureValues:
     """Takes the values of the capture, beat by beat."""
 
     def __init__(self) -> None:
         self._counts: dict[str, deque[tuple[float, int]]] = {}
         self._lengths: deque[tuple[float, float]] = deque(maxlen=LENGTH_POINTS)
-        self._courses: dict[str, Course] = {}
+        self._courses: dict[str, ValueHistory] = {}
         self._ranges: dict[str, tuple[float, float]] = {}
         self._latest: dict[str, float] = {}
         self._offered_s: dict[str, float] = {}
@@ -515,7 +519,7 @@ class CapturedValues:
     def temperatures(self) -> tuple[Temperature, ...]:
         """Return the temperatures of every sensor."""
         return tuple(
-            Temperature(sensor, now, *self._ranges[sensor], drift(points), points)
+            Temperature(sensor, now, *self._ranges[sensor], drift_k_per_h(points), points)
             for sensor, now in sorted(self._latest.items())
             for points in [self._courses[sensor].points]
         )
@@ -526,7 +530,7 @@ class CapturedValues:
         if not words or not math.isfinite(value := float(words[0])):
             return
         sensor, now_s = " ".join(words[1:]), round(time.time(), 1)
-        course = self._courses.setdefault(sensor, Course())
+        course = self._courses.setdefault(sensor, ValueHistory())
         if now_s - self._offered_s.get(sensor, -math.inf) >= TEMPERATURE_PERIOD_S:
             self._offered_s[sensor] = now_s  # the history may have left it out
             course.add(now_s, value)
@@ -538,7 +542,7 @@ class CapturedValues:
         return self._values.get(f"{NOW}{topic}", "").split()
 
 
-def drift(course: Points) -> float | None:
+def drift_k_per_h(course: Points) -> float | None:
     """Return the slope (K/h) of the best line through the last hour; None in the first minute."""
     last = [(t, y) for t, y in course if t >= course[-1][0] - HOUR_S]
     if len(last) < 3 or last[-1][0] - last[0][0] < 60.0:
@@ -553,7 +557,7 @@ SILENCE_S: Final = 10.0
 UNDRAWN: Final = phrase("it is not drawn yet")
 
 
-class WaitingTable:
+class PendingTable:
     """Follows the bridge; ``offer`` is None while no table has come to it.
 
     What the controller would add is asked of the bridge itself, so that the drawing shows what
@@ -604,15 +608,15 @@ class WaitingTable:
             **(self._drawing if confirmation == self._drawn_for else {}),
         )
 
-    async def apply(self, confirmation: str, secret: str) -> Answer:
+    async def apply(self, confirmation: str, secret: str) -> ActionOutcome:
         """Have the bridge feed the table with this hash to the controller."""
         if not self._apply.service_is_ready():
-            return Answer(False, phrase("the bridge does not offer to apply a table"))
+            return ActionOutcome(False, phrase("the bridge does not offer to apply a table"))
         request = ApplyTable.Request(confirmation=confirmation, secret=secret)
         answer = await self._apply.call_async(request)
         if answer.success:
             self._applied = confirmation
-        return Answer(answer.success, answer.message)
+        return ActionOutcome(answer.success, answer.message)
 
     def _take(self, message: Any) -> None:
         self._table = message
@@ -673,7 +677,7 @@ def _rounded(values: Any) -> tuple[float, ...]:
 
 def main() -> None:
     """Run the operator's page."""
-    run(OperatorPage)
+    run_node(OperatorPage)
 
 
 if __name__ == "__main__":

@@ -24,11 +24,11 @@ from rotcal_ros.page.state import (
     Cell,
     Curve,
     Deviations,
+    OperatorTask,
     PageMark,
     PlanView,
     RecorderState,
     ShownNode,
-    Task,
 )
 from rotcal_ros.planning.plan import TABLE_FRAME, Point
 
@@ -37,7 +37,7 @@ MOST_TARGETS: Final = 400
 OF_THE_BAG: Final = ("file", "messages", "topics")
 
 
-def cell(calibration: Calibration, namespace: str) -> Cell:
+def cell_section(calibration: Calibration, namespace: str) -> Cell:
     """Return what is calibrated."""
     configuration = calibration.configuration
     return Cell(
@@ -54,9 +54,9 @@ def cell(calibration: Calibration, namespace: str) -> Cell:
 def plan_view(calibration: Calibration) -> PlanView:
     """Return targets and positions of the instrument, seen from above."""
     plan = calibration.plan
-    targets = dict.fromkeys(above(step.position) for step in plan.steps)
+    targets = dict.fromkeys(seen_from_above(step.position) for step in plan.steps)
     places = (calibration.stand_at(step) for step in plan.steps)
-    stands = dict.fromkeys(above(place) for place in places if place is not None)
+    stands = dict.fromkeys(seen_from_above(place) for place in places if place is not None)
     every = max(1, math.ceil(len(targets) / MOST_TARGETS))
     return PlanView(
         angles_deg=tuple(
@@ -67,7 +67,7 @@ def plan_view(calibration: Calibration) -> PlanView:
     )
 
 
-def task(calibration: Calibration, pause: Pause) -> Task | None:
+def operator_task(calibration: Calibration, pause: Pause) -> OperatorTask | None:
     """Return what a pause asks a person to move; None if it moves nothing, or is over."""
     if not pause.waiting or pause.kind != Pause.KIND_MOVE:
         return None
@@ -75,7 +75,7 @@ def task(calibration: Calibration, pause: Pause) -> Task | None:
     moves = [p.move for p in plan.pauses if p.move is not None and p.move.what == pause.what]
     stations = sorted({move.station for move in moves} | {pause.station})
     x, y, z = map(float, pause.position)
-    return Task(
+    return OperatorTask(
         what=pause.what,
         number=1 + stations.index(pause.station),
         count=len(stations),
@@ -86,12 +86,12 @@ def task(calibration: Calibration, pause: Pause) -> Task | None:
     )
 
 
-def above(place: Point) -> tuple[float, float]:
+def seen_from_above(place: Point) -> tuple[float, float]:
     """Return a place seen from above."""
     return round(place[0], 4), round(place[1], 4)
 
 
-def deviations(message: DeviationArray, identity: Identity) -> Deviations:
+def deviations_section(message: DeviationArray, identity: Identity) -> Deviations:
     """Return the curves of a solution, in units for people; without U if it is withheld."""
     why = why_verdict_withholds(message.verdict, message.warnings) if message.final else None
     curves = []
@@ -130,7 +130,7 @@ def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
     return tuple(round(float(v), 5) if math.isfinite(v) else None for v in values)
 
 
-def nodes(health: Health) -> tuple[ShownNode, ...]:
+def node_states(health: Health) -> tuple[ShownNode, ...]:
     """Return the nodes that are there, or were until they were lost."""
     found = []
     for name, beat in sorted(health.others.items()):
@@ -151,7 +151,7 @@ def _words(health: Health, name: str) -> str:
     return join_texts([health.describe(name), *trouble])
 
 
-def recording(values: Mapping[str, str]) -> RecorderState | None:
+def recorder_state(values: Mapping[str, str]) -> RecorderState | None:
     """Return the state of the bag, from the recorder's values; None before there is one."""
     if "file" not in values:
         return None
@@ -165,7 +165,7 @@ def recording(values: Mapping[str, str]) -> RecorderState | None:
     )
 
 
-def command(bag_folder: str) -> str:
+def resume_command_line(bag_folder: str) -> str:
     """Return the command line that goes on with a session on this machine; empty: there is none.
 
     ``bag_folder`` is empty where nothing was recorded.

@@ -26,15 +26,15 @@ from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.foundation.node_state import STOPS, Reason
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.accepted_publishers import APART, HEARS, digest
+from rotcal_ros.nodes.runtime.accepted_publishers import APART, HEARS, accepted_publishers_hash
 from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN
-from rotcal_ros.nodes.runtime.beat_values import LISTENS, show
+from rotcal_ros.nodes.runtime.beat_values import LISTENS, set_warning
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.managed_node import not_active
+from rotcal_ros.nodes.runtime.managed_node import inactive_node_hints
 from rotcal_ros.nodes.runtime.message_types import ONE_VERSION
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
-from rotcal_ros.planning.plan import MACHINE_FRAME, Move
+from rotcal_ros.planning.plan import MACHINE_FRAME, OperatorMove
 
 
 class CellServices:
@@ -142,7 +142,7 @@ class CellLinks:
         """Show what looks wrong; with no texts the warning is over."""
         for text in texts:
             self.node.get_logger().warning(text)
-        show(self.health, key, "; ".join(texts))
+        set_warning(self.health, key, "; ".join(texts))
 
     def instrument(self, role: str) -> str:
         """Return the absolute name of an instrument's topic, as the capture knows it."""
@@ -166,7 +166,7 @@ class CellLinks:
 
     def idle_nodes(self, but: Collection[str] = ()) -> list[str]:
         """Return which nodes of the calibration are present but not active, in words."""
-        return not_active(self.health, sorted(self.health.present() - SPARE - {*but}))
+        return inactive_node_hints(self.health, sorted(self.health.present() - SPARE - {*but}))
 
     def missing_topics(
         self, topics: Sequence[str], silent: Collection[str] = (), stop: str = ""
@@ -265,7 +265,7 @@ class CellLinks:
             if (apart := values.get(APART))
             else f"node {name} has not confirmed the publishers of this run"
             for name, values in beats.items()
-            if values.get(HEARS) != digest(accepted)
+            if values.get(HEARS) != accepted_publishers_hash(accepted)
         ] + self._missing_machines()
 
     def _own_machines(self) -> list[str]:
@@ -323,7 +323,7 @@ RESUME: Final = "resume"
 UNKNOWN_PLACE: Final = (nan, nan, nan)
 
 
-class Pauses:
+class GoalPauses:
     """What the goal waits for; ``waiting`` is True until somebody has called ``resume``.
 
     ``require_free`` raises RotcalError while it cannot go on; ``busy`` says what the planner is
@@ -346,12 +346,12 @@ class Pauses:
         self._latest = msg.Pause(plan_id=plan_id, run=run, step=step, waiting=True)
         self.waiting = True
 
-    def show(self, asked: Reason, move: Move | None = None) -> None:
+    def show(self, asked: Reason, move: OperatorMove | None = None) -> None:
         """Publish what is waited for if that has changed."""
         latest, instruction = self._latest, asked.instruction or ""
         if latest.instruction == instruction:
             return
-        place = move or Move("", 0)
+        place = move or OperatorMove("", 0)
         latest.kind = msg.Pause.KIND_MOVE if move else msg.Pause.KIND_WORK
         latest.kind = msg.Pause.KIND_STOP if asked.code in STOPS else latest.kind
         latest.what, latest.station = place.what, place.station
@@ -375,7 +375,7 @@ class Pauses:
             self._publish(MACHINE_FRAME)
 
     def _publish(self, frame: str) -> None:
-        self._latest.header = conversions.header(self._node.now_ns(), frame)
+        self._latest.header = conversions.make_header(self._node.now_ns(), frame)
         self._publisher.publish(self._latest)
 
     def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

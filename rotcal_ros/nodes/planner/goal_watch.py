@@ -17,21 +17,21 @@ from rotcal_ros.foundation.machine_load import AwakeClock, WaitBudget, load_scal
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.foundation.node_state import Reason, State, Why
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command
-from rotcal_ros.nodes.planner.cell_links import CellLinks, Pauses
+from rotcal_ros.nodes.planner.cell_links import CellLinks, GoalPauses
 from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.nodes.runtime.beat_values import (
     HOPELESS,
     PREFLIGHT_WAITS,
     SILENT,
     SLOW,
-    show,
+    set_warning,
 )
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS
-from rotcal_ros.nodes.runtime.cell_node import until
-from rotcal_ros.nodes.runtime.clocks import jumps_told
+from rotcal_ros.nodes.runtime.cell_node import wait_for_condition
+from rotcal_ros.nodes.runtime.clocks import reported_jump_count
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import Health
-from rotcal_ros.nodes.runtime.liveness import Overload
+from rotcal_ros.nodes.runtime.liveness import OverloadMonitor
 from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.settings import PlannerSettings
@@ -78,7 +78,7 @@ def _rarely(condition: Callable[[], bool]) -> Callable[[], bool]:
     return seen
 
 
-class ToldMissing:
+class MissingReport:
     """Tells people what ``missing`` has named for TOLD_S, while it is waited for."""
 
     def __init__(
@@ -99,7 +99,7 @@ class ToldMissing:
             self._links.warn(PREFLIGHT_WAITS, [f"{limit}: {'; '.join(lasting)}"])
         return not texts
 
-    def __enter__(self) -> ToldMissing:
+    def __enter__(self) -> MissingReport:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -176,7 +176,7 @@ class RequiredNodes:
         return f" ({self._health.last_words(lost[0])})" if lost else ""
 
 
-class HaltedError(Exception):
+class StepInterruptedError(Exception):
     """An emergency stop has broken off the present step; the goal waits."""
 
 
@@ -187,7 +187,7 @@ class GoalWatch:
     settings: PlannerSettings
     links: CellLinks
     stop: EmergencyStop
-    pauses: Pauses
+    pauses: GoalPauses
     progress: GoalProgress
     show: Callable[[GoalProgress], None]
     """Is called whenever the progress changes."""
@@ -213,7 +213,7 @@ class GoalWatch:
     """The publishers of the instruments' topics when the run began."""
     _astray: WaitBudget | None = None
     _hopeless: WaitBudget | None = None
-    _overload: Overload = field(default_factory=Overload)
+    _overload: OverloadMonitor = field(default_factory=OverloadMonitor)
     _stream_beat: object = None
     _silent: dict[str, float] = field(default_factory=dict)
     _interrupted: Reason | None = None
@@ -257,11 +257,13 @@ class GoalWatch:
 
         The time does not run while a node is slow.
         """
-        return await until(condition, timeout_s, self._check, self._is_slow)
+        return await wait_for_condition(condition, timeout_s, self._check, self._is_slow)
 
     async def wait_for_machine(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait like :meth:`wait` for what was ordered; HaltedError in an emergency stop."""
-        arrived = await until(condition, timeout_s, self._check_machine, self._is_slow)
+        """Wait like :meth:`wait` for what was ordered; raises StepInterruptedError."""
+        arrived = await wait_for_condition(
+            condition, timeout_s, self._check_machine, self._is_slow
+        )
         self.heed_stop()
         return arrived
 
@@ -274,15 +276,15 @@ class GoalWatch:
         return bool(self.slow)
 
     def heed_stop(self) -> None:
-        """Raise HaltedError during an emergency stop, and after it until a person has resumed."""
+        """Raise StepInterruptedError from an emergency stop until a person has resumed."""
         if why := self.stop.heed():
-            raise HaltedError(f"emergency stop: {why}")
+            raise StepInterruptedError(f"emergency stop: {why}")
 
     def clock_jumps(self) -> int:
         """Return how often a clock of the cell has jumped, as far as this node knows."""
         health = self.links.health
         health.clock.look()
-        return health.clock.watch.count + jumps_told(map(health.values, health.others))
+        return health.clock.watch.count + reported_jump_count(map(health.values, health.others))
 
     async def have(
         self,
@@ -295,7 +297,7 @@ class GoalWatch:
         It does so at once when ``in_vain`` says why waiting would be in vain. What is missing is
         told long before.
         """
-        with ToldMissing(self.links, missing, self.patience_s) as lacking:
+        with MissingReport(self.links, missing, self.patience_s) as lacking:
             came = await self.wait(
                 _rarely(lambda: lacking.nothing() or bool(in_vain())), self.patience_s
             )
@@ -321,7 +323,7 @@ class GoalWatch:
 
         Sometimes the middleware never connects two ends that it knows, but does connect new ones.
         """
-        with ToldMissing(self.links, missing, self.patience_s) as lacking:
+        with MissingReport(self.links, missing, self.patience_s) as lacking:
             if await self.wait(_rarely(lacking.nothing), min(FOUND_S, self.patience_s)):
                 return True
         self.links.publish_anew()
@@ -390,7 +392,7 @@ class GoalWatch:
             self.links.node.get_logger().warning(text)
         if bool(overload.text) == bool(before):
             return
-        show(self.links.health, SLOW, overload.text)
+        set_warning(self.links.health, SLOW, overload.text)
         doing = self.progress.doing
         if overload.text and not self.pauses.waiting:
             self._interrupted = doing

@@ -17,11 +17,11 @@ from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.nodes.planner.cell_links import Attempt
-from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, HaltedError
+from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, StepInterruptedError
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.beat_values import BLOCKED, WAITING_FOR
-from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
-from rotcal_ros.planning.plan import Move, Pause
+from rotcal_ros.planning.choices import AS_LISTED, PolicyProgress, StepChoice, StepOutcome
+from rotcal_ros.planning.plan import OperatorMove, Pause
 
 SETTLING_S: Final = 1.2
 """After a clock is set the capture accepts nothing for 1 s; this is a little longer."""
@@ -100,7 +100,7 @@ class GoalMeasurement:
             if not (at_the_end and solvable):
                 raise GoalError(Codes.TOO_FEW_OBSERVATIONS, str(error)) from error
 
-    def _tell(self, choice: Choice, attempt: int) -> None:
+    def _tell(self, choice: StepChoice, attempt: int) -> None:
         """Publish which step is measured next and why; people read it, and the bag keeps it."""
         links, plan_id = self._watch.links, self._calibration.configuration.plan_id
         chosen = choice, plan_id, self._continuation.run, self._chosen, attempt
@@ -121,7 +121,9 @@ class GoalMeasurement:
                 await self.operator.have_done(work, pause.move)
             self._watch.owed = pause, None, begin
             for index in range(begin, pause.last + 1):
-                shows = Choice(index, phrase("shows {0}", pause.instruction), Standing(1))
+                shows = StepChoice(
+                    index, phrase("shows {0}", pause.instruction), PolicyProgress(1)
+                )
                 await self._measure(index, shows)
             begin = pause.first if pause.again_from is None else pause.again_from
             faults, hopeless = self._complaints()
@@ -138,7 +140,7 @@ class GoalMeasurement:
         except DataError as error:
             return str(error), True
 
-    async def _measure(self, index: int, choice: Choice) -> dict[int, list[str]]:
+    async def _measure(self, index: int, choice: StepChoice) -> dict[int, list[str]]:
         """Attempt a step, and with it those that its turn passes behind it.
 
         If an emergency stop breaks it off, again after a person has resumed. Return for each step
@@ -146,13 +148,13 @@ class GoalMeasurement:
         """
         try:
             return await self._attempt(index, choice)
-        except HaltedError as halted:
+        except StepInterruptedError as halted:
             self.reasons.append(str(halted))
         self._watch.progress.rejected += 1
         await self.operator.have_done()
         return await self._measure(index, choice)
 
-    async def _attempt(self, index: int, choice: Choice) -> dict[int, list[str]]:
+    async def _attempt(self, index: int, choice: StepChoice) -> dict[int, list[str]]:
         """Attempt steps until all are captured without a loss, or all attempts are used up.
 
         A turn is made again as a whole, for what its lengths have in common holds for it alone.
@@ -252,7 +254,7 @@ class GoalMeasurement:
         return receipts[key]
 
 
-class NotFreeError(RotcalError):
+class NotResumableError(RotcalError):
     """A goal that waits for a person cannot go on yet."""
 
 
@@ -262,7 +264,7 @@ class OperatorRequests:
     def __init__(self, watch: GoalWatch, plan_id: str, run: int) -> None:
         self._watch, self._plan_id, self._run = watch, plan_id, run
 
-    async def have_done(self, work: str | None = None, move: Move | None = None) -> None:
+    async def have_done(self, work: str | None = None, move: OperatorMove | None = None) -> None:
         """Show what is to be done before the present step, until it is done.
 
         An emergency stop may come in between; without ``work`` only its end is waited for.
@@ -273,7 +275,7 @@ class OperatorRequests:
         try:
             while pauses.waiting:
                 seen = stop.why, stop.latched
-                asked = request(*seen, work)
+                asked = operator_request(*seen, work)
                 pauses.show(asked, move)
                 watch.tell_again(asked)
                 await watch.wait(partial(self._has_changed, seen), REPEAT_PERIOD_S)
@@ -288,8 +290,8 @@ class OperatorRequests:
         return not self._watch.pauses.waiting or (stop.why, stop.latched) != seen
 
 
-def require_free(watch: GoalWatch) -> None:
-    """Raise NotFreeError if a goal cannot be resumed yet."""
+def require_resumable(watch: GoalWatch) -> None:
+    """Raise NotResumableError if a goal cannot be resumed yet."""
     health = watch.links.health
     watch.stop.heed()
     stop = [f"the emergency stop is on: {watch.stop.why}"] if watch.stop.why else []
@@ -300,12 +302,12 @@ def require_free(watch: GoalWatch) -> None:
     ]
     silent = [f"{t} has been silent for {s:.1f} s" for t, s in watch.silent_streams().items()]
     if lasting := [*stop, *blocked, *silent]:
-        raise NotFreeError("; ".join(lasting))
+        raise NotResumableError("; ".join(lasting))
     if watch.pauses.stop_between(watch.stop.count):
-        raise NotFreeError("an emergency stop came in between: look, then resume again")
+        raise NotResumableError("an emergency stop came in between: look, then resume again")
 
 
-def request(why: str | None, latched: str | None, work: str | None) -> Reason:
+def operator_request(why: str | None, latched: str | None, work: str | None) -> Reason:
     """Return what a person has to do during a stop ``why``, once it is over, or as ``work``."""
     if why:
         return Reason.of(Why.STOPPED, why)

@@ -1,8 +1,8 @@
 """The planner node: offers the action ``calibrate``, one goal at a time, from preflight to result.
 
-A goal is one coroutine. ``be_ready`` waits until all nodes and instruments are there and fit the
-configuration. GoalBag has the recorder open, continue and close the bag. GoalRun does all of it,
-in several runs of the same session if a node is lost and comes back.
+A goal is one coroutine. ``wait_until_ready`` waits until all nodes and instruments are there and
+fit the configuration. GoalBag has the recorder open, continue and close the bag. GoalRun does all
+of it, in several runs of the same session if a node is lost and comes back.
 """
 
 from __future__ import annotations
@@ -42,10 +42,15 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.continuation import Continuation, Recorded
 from rotcal_ros.methods.method import DEFAULT, find_method
-from rotcal_ros.nodes.planner.cell_links import CellLinks, Pauses
+from rotcal_ros.nodes.planner.cell_links import CellLinks, GoalPauses
 from rotcal_ros.nodes.planner.goal_watch import SOLVER, Codes, GoalError, GoalWatch, RequiredNodes
-from rotcal_ros.nodes.planner.measuring import GoalMeasurement, OperatorRequests, require_free
-from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
+from rotcal_ros.nodes.planner.measuring import GoalMeasurement, OperatorRequests, require_resumable
+from rotcal_ros.nodes.planner.preflight import (
+    expected_air_topics,
+    instrument_faults,
+    instrument_warnings,
+    missing_air_consequence,
+)
 from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.accepted_publishers import ACCEPTED
@@ -54,15 +59,15 @@ from rotcal_ros.nodes.runtime.beat_values import (
     OF_MACHINES,
     PREFLIGHT,
     TOPICS,
-    names_at_odds,
+    mismatched_topic_lines,
+    reported_warnings,
     topics_value,
-    warnings_told,
 )
-from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
-from rotcal_ros.nodes.runtime.clocks import unlike_clocks
+from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, wait_for_condition
+from rotcal_ros.nodes.runtime.clocks import clock_mismatches
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.managed_node import read_settings
-from rotcal_ros.nodes.runtime.running import in_thread, run
+from rotcal_ros.nodes.runtime.running import run_in_thread, run_node
 from rotcal_ros.planning.settings import SafetySettings
 
 MOST_IN_VAIN: Final = 2
@@ -134,7 +139,7 @@ class GoalRun:
 
     async def _solved_in_one_run(self) -> FinishCalibration.Response:
         try:
-            await be_ready(self._calibration, self.watch, self.measuring.operator)
+            await wait_until_ready(self._calibration, self.watch, self.measuring.operator)
         except GoalError as error:
             of_a_person = error.code in (Codes.CANCELED, Codes.EMERGENCY_STOP)
             if self._lost is None or of_a_person or error.in_another_run:
@@ -179,7 +184,7 @@ class GoalRun:
         links, watch = self.watch.links, self.watch
         instruments = self._calibration.topics
         await watch.have(lambda: links.unclear(instruments), Codes.TOPIC_MISSING)
-        needed, wished = expected_air(self._calibration)
+        needed, wished = expected_air_topics(self._calibration)
         watch.instruments = {*instruments, *needed, *wished}
         watch.heard = links.offered(watch.instruments)
         self._accepted = links.accepted(watch.instruments)
@@ -194,7 +199,9 @@ class GoalRun:
         if error.code == Codes.CANCELED:
             return []
         health = self.watch.links.health
-        beside = [text for text in warnings_told(health, OF_MACHINES) if text not in str(error)]
+        beside = [
+            text for text in reported_warnings(health, OF_MACHINES) if text not in str(error)
+        ]
         clock = health.sim.remark()
         return beside if clock is None else [clock, *beside]
 
@@ -215,7 +222,7 @@ class GoalRun:
         """Publish the plan and wait until all nodes have taken it."""
         links, configuration = self.watch.links, self._calibration.configuration
         message = CalibrationPlan(
-            header=conversions.header(links.node.now_ns()),
+            header=conversions.make_header(links.node.now_ns()),
             plan_id=configuration.plan_id,
             method=configuration.method.name,
             configuration=configuration.text,
@@ -305,12 +312,14 @@ class GoalBag:
         if self._is_open and not health.missing(["recorder"]):
             await self._have_all_recorded()
             future = self._services.stop_recording.call_async(StopRecording.Request())
-            await until(lambda: future.done() or bool(health.missing(["recorder"])), BAG_TIMEOUT_S)
+            await wait_for_condition(
+                lambda: future.done() or bool(health.missing(["recorder"])), BAG_TIMEOUT_S
+            )
 
     async def _have_all_recorded(self) -> None:
         """Wait until the recorder has confirmed all observations, rejected ones too."""
         links = self._watch.links
-        await until(
+        await wait_for_condition(
             lambda: (
                 links.observations.keys() <= links.receipts.keys()
                 or bool(links.health.missing(["recorder"]))
@@ -338,7 +347,9 @@ class GoalBag:
         return answer
 
 
-async def be_ready(calibration: Calibration, watch: GoalWatch, operator: OperatorRequests) -> None:
+async def wait_until_ready(
+    calibration: Calibration, watch: GoalWatch, operator: OperatorRequests
+) -> None:
     """Wait for all nodes and topics; after the time limit GoalError names what is missing."""
     links, configuration = watch.links, calibration.configuration
     links.forget()
@@ -348,15 +359,17 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, operator: Operato
     await watch.have(links.missing_nodes, Codes.NODE_LOST, in_vain=links.other_versions)
     nodes = watch.required.nodes = watch.required.nodes | _needed(links)
     watch.tell(Why.PREFLIGHT_CLOCKS)
-    await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
+    await watch.have(lambda: clock_mismatches(links.health, configuration), Codes.TOPIC_MISSING)
     watch.tell(Why.PREFLIGHT_TOPICS)
     await _have_topics(calibration, watch, operator)
-    _, wished = expected_air(calibration)
+    _, wished = expected_air_topics(calibration)
     unheard = [
-        without_air(role, name, configuration) for role, name in links.unpublished(wished).items()
+        missing_air_consequence(role, name, configuration)
+        for role, name in links.unpublished(wished).items()
     ]
     links.warn(
-        PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration, calibration)
+        PREFLIGHT,
+        unheard + instrument_warnings(links.health.values("capture"), configuration, calibration),
     )
     watch.required.nodes = nodes | _needed(links)
     watch.refuse_stop()
@@ -401,14 +414,14 @@ def _halted(watch: GoalWatch) -> bool:
 def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
     """Return what is missing or wrong with the topics, in words."""
     configuration = calibration.configuration
-    if odd := names_at_odds(links.node, topics_value(configuration)):
+    if odd := mismatched_topic_lines(links.node, topics_value(configuration)):
         return odd
-    needed, _ = expected_air(calibration)
+    needed, _ = expected_air_topics(calibration)
     air = [
         f"no node publishes {name}, without which the index of refraction is unknown"
         for name in links.unpublished(needed).values()
     ]
-    wrong = faults(links.health.values("capture"), configuration, calibration.plan)
+    wrong = instrument_faults(links.health.values("capture"), configuration, calibration.plan)
     silent, stop = single_shots(configuration.topics), configuration.safety.emergency_stop
     return links.missing_topics(calibration.topics, silent, stop) + air + wrong
 
@@ -444,7 +457,7 @@ class Planner(CellNode):
         self._restart_wait_s = self.parameter("restart_wait_s", RESTART_WAIT_S, text)
         self._links = CellLinks(self)
         self._stop = EmergencyStop(self, self._configured.safety, NO_ORDERS)
-        self._pauses = Pauses(self, self._require_free, self._in_words)
+        self._pauses = GoalPauses(self, self._require_free, self._in_words)
         self._server = ActionServer(
             self,
             Calibrate,
@@ -499,9 +512,9 @@ class Planner(CellNode):
         return self._beat_values()[0].describe()
 
     def _require_free(self) -> None:
-        """Raise NotFreeError if the running goal cannot be resumed yet."""
+        """Raise NotResumableError if the running goal cannot be resumed yet."""
         if self._run is not None:
-            require_free(self._run.watch)
+            require_resumable(self._run.watch)
 
     async def _execute(self, handle: ServerGoalHandle) -> Codes:
         try:
@@ -532,7 +545,7 @@ class Planner(CellNode):
         """Run :meth:`_prepare` in a thread: it may take seconds, and the node goes on."""
         self._preparing = True
         try:
-            return await in_thread(self._prepare, handle)
+            return await run_in_thread(self._prepare, handle)
         finally:
             self._preparing = False
 
@@ -671,12 +684,12 @@ def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Fe
 def _plain(kind: type[Plain], handle: ServerGoalHandle, content: Any, now_ns: int) -> Plain:
     """Return the ``content`` of a goal or a feedback as a message that bags can hold."""
     fields = {name: getattr(content, name) for name in content.get_fields_and_field_types()}
-    return kind(header=conversions.header(now_ns), goal_id=handle.goal_id, **fields)
+    return kind(header=conversions.make_header(now_ns), goal_id=handle.goal_id, **fields)
 
 
 def main() -> None:
     """Run the planner."""
-    run(Planner)
+    run_node(Planner)
 
 
 if __name__ == "__main__":

@@ -34,10 +34,10 @@ from rotcal_ros.nodes.runtime.beat_values import (
     RATE,
     REFUSED,
     SCATTER,
-    name_in,
+    displayed_topic,
 )
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.table_feedback import without_joint
+from rotcal_ros.planning.table_feedback import missing_joint_message
 
 _AIR: Final = {
     "temperature": names.TEMPERATURE,
@@ -59,7 +59,9 @@ _OF_AN_INSTRUMENT: Final = {
 Values = Mapping[str, str]
 
 
-def faults(values: Values, configuration: Configuration, plan: Plan | None = None) -> list[str]:
+def instrument_faults(
+    values: Values, configuration: Configuration, plan: Plan | None = None
+) -> list[str]:
     """Return why these instruments cannot give an observation, in words.
 
     The probe's positions are compared with the ``plan``.
@@ -75,7 +77,7 @@ def faults(values: Values, configuration: Configuration, plan: Plan | None = Non
     ]
 
 
-def doubts(
+def instrument_warnings(
     values: Values, configuration: Configuration, calibration: Calibration | None = None
 ) -> list[str]:
     """Return what looks wrong, though observations may still be possible.
@@ -83,34 +85,34 @@ def doubts(
     Readings are compared with the geometry of the plan of a ``calibration``.
     """
     small = [] if calibration is None else [
-        text for role in _SIZED for text in size_doubts(values, calibration, role)
+        text for role in _SIZED for text in unit_warnings(values, calibration, role)
     ]  # fmt: skip
     return [
         *small,
-        *joint_doubts(values, configuration),
-        *frame_doubts(values, configuration),
-        *slow_table(values, configuration),
-        *slow_lengths(values, configuration),
-        *(text for role in _AIR.values() for text in air_doubts(values, role)),
+        *table_angle_warnings(values, configuration),
+        *frame_warnings(values, configuration),
+        *table_rate_warnings(values, configuration),
+        *length_rate_warnings(values, configuration),
+        *(text for role in _AIR.values() for text in air_warnings(values, role)),
     ]
 
 
-def air_doubts(values: Values, role: str) -> Iterator[str]:
+def air_warnings(values: Values, role: str) -> Iterator[str]:
     """Yield what looks wrong about the air as the ``role`` gives it."""
-    value = number_in(values.get(NOW + role, ""))
+    value = leading_number(values.get(NOW + role, ""))
     found = [] if value is None else implausible_air({role: value})
-    yield from (f"{name_in(values, role)} {text}" for role, text in found if text)
+    yield from (f"{displayed_topic(values, role)} {text}" for role, text in found if text)
 
 
-def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator[str]:
+def unit_warnings(values: Values, calibration: Calibration, role: str) -> Iterator[str]:
     """Yield a doubt if lengths or probe positions seem to be in another unit, by the plan.
 
     Lengths may count from anywhere, so that a small one proves nothing beside their scatter.
     """
-    topics, name = calibration.configuration.topics, name_in(values, role)
+    topics, name = calibration.configuration.topics, displayed_topic(values, role)
     if role == names.TRACER_LENGTH and role in calibration.topics:
-        length = number_in(values.get(NOW + role, "")) or 0.0
-        scatter = number_in(values.get(SCATTER + role, ""))
+        length = leading_number(values.get(NOW + role, "")) or 0.0
+        scatter = leading_number(values.get(SCATTER + role, ""))
         stated = (topics.length_unit, "topics.length_unit")
         allowed = calibration.configuration.capture.max_std_m
         text = None if scatter is None else scatters_at_rest(scatter, allowed, *stated)
@@ -127,35 +129,35 @@ def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator
             yield f"{name} {text}"
 
 
-def slow_table(values: Values, configuration: Configuration) -> Iterator[str]:
+def table_rate_warnings(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield a doubt if the table's feedback comes so rarely that its rest is noticed late.
 
     A machine that is polled is asked seldom while it has no order.
     """
-    rate = number_in(values.get(RATE + names.JOINT_STATES, ""))
+    rate = leading_number(values.get(RATE + names.JOINT_STATES, ""))
     drivers = (node for group, node in group_nodes().items() if group in configuration.given)
     if rate and rate < SLOW_HZ and not any(node.polled for node in drivers):
         yield (
-            f"{name_in(values, names.JOINT_STATES)} comes at {rate:.3g} Hz: whether the table "
-            f"moves or rests is known {1.0 / rate:.2g} s late; 50 Hz are usual, {SLOW_HZ:g} Hz "
-            "the least"
+            f"{displayed_topic(values, names.JOINT_STATES)} comes at {rate:.3g} Hz: whether the "
+            f"table moves or rests is known {1.0 / rate:.2g} s late; 50 Hz are usual, "
+            f"{SLOW_HZ:g} Hz the least"
         )
 
 
-def slow_lengths(values: Values, configuration: Configuration) -> Iterator[str]:
+def length_rate_warnings(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield a doubt if lengths come so rarely that a window takes long and hides a broken beam."""
-    rate = number_in(values.get(RATE + names.TRACER_LENGTH, ""))
+    rate = leading_number(values.get(RATE + names.TRACER_LENGTH, ""))
     if rate and rate < SLOW_HZ and not configuration.topics.length_single_shot:
         window_s = configuration.capture.window_samples / rate
         yield (
-            f"{name_in(values, names.TRACER_LENGTH)} comes at {rate:.3g} Hz: the "
+            f"{displayed_topic(values, names.TRACER_LENGTH)} comes at {rate:.3g} Hz: the "
             f"{configuration.capture.window_samples} readings of a window take {window_s:.3g} s, "
             f"and what happens between two of them is not seen; 1000 Hz are usual, {SLOW_HZ:g} Hz "
             "the least"
         )
 
 
-def frame_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
+def frame_warnings(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield a doubt if the probe's points may be in another frame than the plan's targets.
 
     A tracker's own points are in its own frame.
@@ -164,9 +166,9 @@ def frame_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
     ours = configuration.cell.machine_frame
     if frame and _in_the_machine_frame(configuration) and frame.lstrip("/") != ours.lstrip("/"):
         yield (
-            f"{name_in(values, names.PROBE_POINT)} is stamped with the frame {printable(frame)}, "
-            f"the targets of the plan are in {ours} (cell.machine_frame); points are taken as "
-            "they are, and not transformed"
+            f"{displayed_topic(values, names.PROBE_POINT)} is stamped with the frame "
+            f"{printable(frame)}, the targets of the plan are in {ours} (cell.machine_frame); "
+            "points are taken as they are, and not transformed"
         )
 
 
@@ -174,7 +176,7 @@ def _in_the_machine_frame(configuration: Configuration) -> bool:
     return not configuration.method.capture.decide.keys() & _OF_AN_INSTRUMENT
 
 
-def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
+def expected_air_topics(calibration: Calibration) -> tuple[list[str], list[str]]:
     """Return the topics of the air that are required, and those that are waited for."""
     settings = calibration.configuration.capture
     required = calibration.refraction.required(settings)
@@ -183,7 +185,7 @@ def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
     return needed, [topic for _, topic in expected if topic not in needed]
 
 
-def without_air(role: str, topic: str, configuration: Configuration) -> str:
+def missing_air_consequence(role: str, topic: str, configuration: Configuration) -> str:
     """Return what follows if no node publishes the expected ``topic`` of a quantity of the air."""
     name = next(name for name, last in _AIR.items() if role == last)
     return (
@@ -195,12 +197,12 @@ def without_air(role: str, topic: str, configuration: Configuration) -> str:
 
 def length_faults(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield what is wrong with the lengths."""
-    length = number_in(values.get(NOW + names.TRACER_LENGTH, ""))
+    length = leading_number(values.get(NOW + names.TRACER_LENGTH, ""))
     text = implausible_length(
         0.0 if length is None else length, configuration.capture.max_length_m, configuration.topics
     )
     if text:
-        yield f"{name_in(values, names.TRACER_LENGTH)} {text}"
+        yield f"{displayed_topic(values, names.TRACER_LENGTH)} {text}"
 
 
 def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> Iterator[str]:
@@ -214,29 +216,29 @@ def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> It
     x, y, z = map(float, words)
     text = implausible_position((x, y, z), plan, configuration.topics)
     if text:
-        yield f"{name_in(values, names.PROBE_POINT)} {text}"
+        yield f"{displayed_topic(values, names.PROBE_POINT)} {text}"
 
 
 def rate_faults(values: Values, configuration: Configuration) -> Iterator[tuple[str, str]]:
     """Yield each stream that is too slow for what waits for it, and what to change."""
     capture, planner = configuration.capture, configuration.planner
     lengths, table = names.TRACER_LENGTH, names.JOINT_STATES
-    found = {role: number_in(values.get(RATE + role, "")) for role in (lengths, table)}
+    found = {role: leading_number(values.get(RATE + role, "")) for role in (lengths, table)}
     for role, owner in ((lengths, "length"), (table, "table")):
         if found[role] == 0.0:
             text = "its stamps stand still, is the header filled?"
             way = f"topics.{owner}_clock: sent takes the time of sending"
-            yield role, f"{name_in(values, role)}: {text} {way}"
+            yield role, f"{displayed_topic(values, role)}: {text} {way}"
     rates = {role: rate for role, rate in found.items() if rate}
     if (rate := rates.get(table)) and 1.0 / rate > capture.table_silence_s:
         yield (
             table,
-            f"{name_in(values, table)} comes every {1.0 / rate:.3g} s: at rest "
+            f"{displayed_topic(values, table)} comes every {1.0 / rate:.3g} s: at rest "
             f"{capture.table_silence_s:g} s are allowed (capture.table_silence_s)",
         )
     if configuration.topics.length_single_shot or not (rate := rates.get(lengths)):
         return
-    name, window_s = name_in(values, lengths), capture.window_samples / rate
+    name, window_s = displayed_topic(values, lengths), capture.window_samples / rate
     if capture.settle_time_s + window_s > capture.step_timeout_s:
         yield (
             lengths,
@@ -255,34 +257,34 @@ def rate_faults(values: Values, configuration: Configuration) -> Iterator[tuple[
 
 def joint_faults(values: Values, joint: str) -> Iterator[str]:
     """Yield what is wrong with the joint of the table."""
-    heard = joints(values)
-    chosen, topic = chosen_joint(values, joint), name_in(values, names.JOINT_STATES)
+    heard = joint_states(values)
+    chosen, topic = table_joint(values, joint), displayed_topic(values, names.JOINT_STATES)
     if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are listed
         return
     if chosen not in heard:
-        yield without_joint(topic, joint, heard)
+        yield missing_joint_message(topic, joint, heard)
 
 
-def joint_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
+def table_angle_warnings(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield what looks wrong about the table's angle."""
     text = implausible_angle(table_angle(values, configuration), configuration.topics)
     if text:
-        yield f"{name_in(values, names.JOINT_STATES)} {text}"
+        yield f"{displayed_topic(values, names.JOINT_STATES)} {text}"
 
 
 def table_angle(values: Values, configuration: Configuration) -> float:
     """Return the table's angle by its feedback (rad); 0 if there is none."""
-    if chosen := joints(values).get(chosen_joint(values, configuration.cell.joint)):
+    if chosen := joint_states(values).get(table_joint(values, configuration.cell.joint)):
         return Conventions(configuration.topics).angle(chosen[0])
-    return number_in(values.get(NOW + names.JOINT_STATES, "")) or 0.0
+    return leading_number(values.get(NOW + names.JOINT_STATES, "")) or 0.0
 
 
-def chosen_joint(values: Values, joint: str) -> str:
+def table_joint(values: Values, joint: str) -> str:
     """Return the joint of the table: the configured one, else the first."""
-    return joint or next(iter(joints(values)), "")
+    return joint or next(iter(joint_states(values)), "")
 
 
-def joints(values: Values) -> dict[str, tuple[float, float]]:
+def joint_states(values: Values) -> dict[str, tuple[float, float]]:
     """Return angle (rad) and velocity (rad/s) of the joints that were heard, by name."""
     found = {}
     for key, value in values.items():
@@ -292,7 +294,7 @@ def joints(values: Values) -> dict[str, tuple[float, float]]:
     return found
 
 
-def number_in(text: str) -> float | None:
+def leading_number(text: str) -> float | None:
     """Return the number that a reading begins with, if it is finite."""
     try:
         number = float(text.split()[0])

@@ -3,8 +3,8 @@
 It speaks JSON lines, for ``rotcal replay``: ``reading``, ``left_out``, ``note``, ``playing``,
 ``solving``, ``result``. SIGINT or SIGTERM ends it.
 
-ReplayGuard finds nodes that forbid a replay: a machine that would move, a second source of a
-topic. ReplayOutcome compares what live nodes made of the bag with the recording.
+TopicConflictGuard finds nodes that forbid a replay: a machine that would move, a second source of
+a topic. ReplayObserver compares what live nodes made of the bag with the recording.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.nodes.player.replayed_bag import CLOCK, ReplayedBag, of_attempts
+from rotcal_ros.nodes.player.replayed_bag import CLOCK, ReplayedBag, accepted_by_attempt
 from rotcal_ros.nodes.recorder.bookkeeping import NEVER_PAUSE
 from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.message_types import importable_type
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.running import EndRequest, Peer, run_and_exit, say
+from rotcal_ros.nodes.runtime.running import EndRequest, PeerNode, print_event, run_and_exit
 
 VOLATILE_DEPTH: Final = 5000
 """Messages kept for slow readers: the graph does not show the depth of a publisher's queue."""
@@ -148,19 +148,21 @@ TOLD_PERIOD_S: Final = 0.2
 _AHEAD_S: Final = 5e-4  # shorter waits are not worth a sleep
 
 
-class Ended(Exception):  # noqa: N818  nothing went wrong
+class PlaybackInterruptedError(Exception):
     """The user has ended it."""
 
 
 class Player:
     """Plays one bag once."""
 
-    def __init__(self, peer: Peer, bag: ReplayedBag, given: Namespace, end: EndRequest) -> None:
+    def __init__(
+        self, peer: PeerNode, bag: ReplayedBag, given: Namespace, end: EndRequest
+    ) -> None:
         self._peer, self._bag, self._given, self._end = peer, bag, given, end
         self._node = peer.node
         self._health = Health(self._node, None)
-        self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=given.everything)
-        self._guard = ReplayGuard(self._node, self._health, bag, given, self._wait)
+        self._outcome = ReplayObserver(peer, bag, self._health, end, everything=given.everything)
+        self._guard = TopicConflictGuard(self._node, self._health, bag, given, self._wait)
         self._told_s = 0.0
         self._pace = ReplayPace(self._node, bag.start_ns, given.rate, clock=given.clock)
         self._publishers: dict[str, Publisher] = {}
@@ -187,7 +189,7 @@ class Player:
                 if channel.topic in self._publishers:
                     self._wait_until(int(block.headers["log_time"][row]))
                     self._publish(channel, block.payload(row))
-        say("playing", done_s=self._bag.seconds, total_s=self._bag.seconds)
+        print_event("playing", done_s=self._bag.seconds, total_s=self._bag.seconds)
         self._outcome.tell(self._given.result, finish=not self._given.no_finish)
 
     def _publish(self, channel: ChannelDefinition, data: bytes) -> None:
@@ -212,9 +214,9 @@ class Player:
             qos = offered_qos(channel.offered_qos)
             self._publishers[topic] = self._node.create_publisher(kind, topic, qos)
         for topic, why in self._bag.left_out.items():
-            say("left_out", topic=topic, why=why)
+            print_event("left_out", topic=topic, why=why)
         for text in self._outcome.notes(self._given.clock):
-            say("note", text=text)
+            print_event("note", text=text)
 
     def _have_taken(self, plan: CalibrationPlan) -> None:
         """Let the nodes take a plan before the orders come, as a planner does."""
@@ -237,7 +239,9 @@ class Player:
         unheard = partial(self._outcome.unheard, self._publishers, with_plan=True)
         if not self._wait(lambda: not unheard(), LISTENERS_S):
             left = ", ".join(sorted(unheard()))
-            say("note", text=f"warning: {' and '.join(nodes)} do not listen to all of {left}")
+            print_event(
+                "note", text=f"warning: {' and '.join(nodes)} do not listen to all of {left}"
+            )
 
     def _wait_until(self, log_time_ns: int) -> None:
         """Wait until it is time for a message; meanwhile the clock runs, and Ctrl-C is handled."""
@@ -251,7 +255,7 @@ class Player:
         begun_s = time.monotonic()
         while not (met := condition()) and time.monotonic() - begun_s < timeout_s:
             if self._end:
-                raise Ended
+                raise PlaybackInterruptedError
             self._peer.work_until(condition, CLOCK_PERIOD_S)
         self._pace.stood_still(time.monotonic() - begun_s)
         return bool(met)
@@ -259,14 +263,14 @@ class Player:
     def _look(self) -> None:
         """Do what is due: the clock, the progress, the look at the graph."""
         if self._end:
-            raise Ended
+            raise PlaybackInterruptedError
         now_s = time.monotonic()
         self._pace.tick()
         if now_s - self._told_s > TOLD_PERIOD_S:
             self._told_s = now_s
             self._peer.work_until(lambda: True, 0.0)
             done_s = min(self._pace.passed_s(), self._bag.seconds)
-            say("playing", done_s=done_s, total_s=self._bag.seconds)
+            print_event("playing", done_s=done_s, total_s=self._bag.seconds)
         if self._guard.is_due():
             self._guard.look(*self._publishers)
 
@@ -280,21 +284,21 @@ def _work() -> None:
         nonlocal told_s
         if time.monotonic() - told_s > TOLD_PERIOD_S:
             told_s = time.monotonic()
-            say("reading", done=done, total=total)
+            print_event("reading", done=done, total=total)
         if end:
-            raise Ended
+            raise PlaybackInterruptedError
 
     try:
         with collect_unread() as missing:
             bag = ReplayedBag.read(given.bag, everything=given.everything, progress=reading)
-        say("unread", texts=list(missing))
-        peer = Peer("player", bag.namespace, sys.argv)
+        print_event("unread", texts=list(missing))
+        peer = PeerNode("player", bag.namespace, sys.argv)
         try:
             Player(peer, bag, given, end).play()
         finally:
             peer.close()
-    except Ended:
-        say("interrupted")
+    except PlaybackInterruptedError:
+        print_event("interrupted")
 
 
 WATCHERS: Final = frozenset({
@@ -315,7 +319,7 @@ _NAMES_S, _PERIOD_S = 10.0, 1.0
 Wait = Callable[[Callable[[], bool], float], object]
 
 
-class ReplayGuard:
+class TopicConflictGuard:
     """Looks at the graph again and again; ``wait`` waits while the recording stands still.
 
     A node's topics are known before its name: each gets some time to be named.
@@ -338,7 +342,7 @@ class ReplayGuard:
         self._wait(lambda: not self._nameless(topics), _NAMES_S)
         self._had_time |= self._nameless(topics)
         self._looked_s = time.monotonic()
-        if found := conflicts(self._node, self._health, self._bag, topics, self._given):
+        if found := topic_conflicts(self._node, self._health, self._bag, topics, self._given):
             raise ConfigurationError("; ".join(found))
 
     def _nameless(self, topics: Iterable[str]) -> set[bytes]:
@@ -354,7 +358,7 @@ class ReplayGuard:
         return found - self._had_time
 
 
-def conflicts(
+def topic_conflicts(
     node: Node, health: Health, bag: ReplayedBag, topics: Iterable[str], given: Namespace
 ) -> list[str]:
     """Return why these topics must not be published here, in words."""
@@ -408,7 +412,7 @@ SOLVE_S: Final = 3600.0
 _SHOWN: Final = 3
 
 
-class ReplayOutcome:
+class ReplayObserver:
     """Hears what the live capture observes, and has the live solver finish."""
 
     needed: Final = {
@@ -420,7 +424,13 @@ class ReplayOutcome:
     """The roles that a node has to listen to before anything is published."""
 
     def __init__(
-        self, peer: Peer, bag: ReplayedBag, health: Health, end: EndRequest, *, everything: bool
+        self,
+        peer: PeerNode,
+        bag: ReplayedBag,
+        health: Health,
+        end: EndRequest,
+        *,
+        everything: bool,
     ) -> None:
         self._peer, self._bag, self._health, self._end = peer, bag, health, end
         self._everything = everything
@@ -485,7 +495,7 @@ class ReplayOutcome:
                 f"no result for {result}: no solver was asked for it; start one, or leave out "
                 "--result"
             )
-        say("result", **found)
+        print_event("result", **found)
 
     def _hear(self, message: ObservationMsg) -> None:
         self._observed.append(messages.observation(message))
@@ -493,8 +503,10 @@ class ReplayOutcome:
     def _compared(self) -> dict[str, object]:
         """Return how the observations compare with those of the recording."""
         recorded = self._bag.accepted
-        self._wait(lambda: recorded.keys() <= of_attempts(self._observed).keys(), ARRIVAL_S)
-        live = of_attempts(self._observed)
+        self._wait(
+            lambda: recorded.keys() <= accepted_by_attempt(self._observed).keys(), ARRIVAL_S
+        )
+        live = accepted_by_attempt(self._observed)
         different = sorted(
             attempt for attempt in recorded.keys() | live.keys()
             if live.get(attempt) != recorded.get(attempt)
@@ -509,7 +521,7 @@ class ReplayOutcome:
 
     def _solved(self, path: Path | None) -> dict[str, object]:
         """Have the solver finish, as a planner does; DataError when it gives no result."""
-        say("solving")
+        print_event("solving")
         if not self._wait(self._finish.service_is_ready, ARRIVAL_S):
             raise DataError(
                 "node solver does not offer finish_calibration: look at its log, and start it "

@@ -200,7 +200,7 @@ class _BagPass:
 
     def accepted(self, topic: str) -> dict[Attempt, Observation]:
         """Return the accepted observations on ``topic``."""
-        return of_attempts(messages.observation(m) for m in self.messages(topic))
+        return accepted_by_attempt(messages.observation(m) for m in self.messages(topic))
 
     def messages(self, topic: str) -> Iterable[Any]:
         """Yield the plans or observations on ``topic`` as far as they are defined as ours."""
@@ -215,6 +215,6 @@ def _last(topic: str) -> str:
     return topic.rpartition("/")[2]
 
 
-def of_attempts(observations: Iterable[Observation]) -> dict[Attempt, Observation]:
+def accepted_by_attempt(observations: Iterable[Observation]) -> dict[Attempt, Observation]:
     """Return the accepted ones of some observations by what they observe."""
     return {(o.run, o.step, o.attempt): o for o in observations if o.accepted}

@@ -64,7 +64,7 @@ class TopicLosses:
 
 
 @dataclass(frozen=True, slots=True)
-class Silence:
+class SilentInterval:
     """A silence of ``topic`` between two messages, in monotonic time (s)."""
 
     topic: str
@@ -72,7 +72,7 @@ class Silence:
     to_s: float
 
 
-class Silences:
+class SilenceMonitor:
     """Silences since the beginning; ``counts`` holds their number by ``silent <topic>``."""
 
     def __init__(self, limit_s: float, now_s: float) -> None:
@@ -81,7 +81,7 @@ class Silences:
         self._silent: dict[str, float] = {}
         self.counts: Counter[str] = Counter()
 
-    def look(self, heard_s: Mapping[str, float], now_s: float) -> list[Silence]:
+    def look(self, heard_s: Mapping[str, float], now_s: float) -> list[SilentInterval]:
         """Take the times at which streams that never pause were last heard, by topic.
 
         Return the silences that have ended.
@@ -90,16 +90,16 @@ class Silences:
         for topic, last_s in heard_s.items():
             since_s = max(last_s, self._begun_s)
             if topic in self._silent and since_s > self._silent[topic]:
-                ended.append(Silence(topic, self._silent.pop(topic), since_s))
+                ended.append(SilentInterval(topic, self._silent.pop(topic), since_s))
             if topic not in self._silent and now_s - since_s > self._limit_s:
                 self._silent[topic] = since_s
                 self.counts[f"{names.SILENT} {topic}"] += 1
         return ended
 
-    def end(self, now_s: float) -> list[Silence]:
+    def end(self, now_s: float) -> list[SilentInterval]:
         """Return the silences that the end of the bag cuts off."""
         silent, self._silent = self._silent, {}
-        return [Silence(topic, since_s, now_s) for topic, since_s in silent.items()]
+        return [SilentInterval(topic, since_s, now_s) for topic, since_s in silent.items()]
 
 
 JUMP_ON_ITS_WAY_S: Final = 60.0
@@ -142,7 +142,7 @@ PATIENCE_S: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Receipt:
+class WriteReceipt:
     """Confirms that everything before it is on disk, except ``lost`` messages."""
 
     step: int
@@ -158,7 +158,7 @@ class _WaitingObservation:
     """
 
     window_end_ns: int
-    receipt: Receipt
+    receipt: WriteReceipt
     all_else_s: float | None = None
 
 
@@ -203,9 +203,9 @@ class PendingReceipts:
 
     def expect(self, step: int, attempt: int, window_end_ns: int) -> None:
         """Note an observation that needs a receipt."""
-        self._waiting.append(_WaitingObservation(window_end_ns, Receipt(step, attempt)))
+        self._waiting.append(_WaitingObservation(window_end_ns, WriteReceipt(step, attempt)))
 
-    def due(self, reached_ns: int | None, lost: int, now_s: float) -> Iterator[Receipt]:
+    def due(self, reached_ns: int | None, lost: int, now_s: float) -> Iterator[WriteReceipt]:
         """Yield what can be confirmed now that the readings have come to ``reached_ns``.
 
         None: there is no such stream. ``lost`` counts the losses since the bag was opened; each
@@ -227,7 +227,7 @@ class PendingReceipts:
             else:
                 self._waiting.append(replace(observed, all_else_s=since_s))
 
-    def is_answered(self, receipt: Receipt) -> bool:
+    def is_answered(self, receipt: WriteReceipt) -> bool:
         """Return whether the point that echoes this order has come, or none echoes it."""
         key = (receipt.step, receipt.attempt)
         if self._answers is None or key in self._answers:

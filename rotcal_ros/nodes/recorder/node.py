@@ -48,26 +48,26 @@ from rotcal_ros.nodes.recorder.bookkeeping import (
     NEVER_PAUSE,
     LogTimes,
     PendingReceipts,
-    Receipt,
-    Silences,
+    SilenceMonitor,
     TopicLosses,
+    WriteReceipt,
 )
 from rotcal_ros.nodes.recorder.recording import (
     JOINED_WITHIN_S,
     BagRecording,
     Channel,
-    DropoutNotes,
-    Messages,
-    OpenBag,
+    DropoutWriter,
     RecordedSession,
+    RunBag,
+    SerializedMessages,
     SessionBags,
     described_channel,
 )
 from rotcal_ros.nodes.runtime.beat_values import LISTENS
-from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
+from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, wait_for_condition
 from rotcal_ros.nodes.runtime.message_types import message_type
 from rotcal_ros.nodes.runtime.qos import EVENT, adapted_qos
-from rotcal_ros.nodes.runtime.running import in_thread, run
+from rotcal_ros.nodes.runtime.running import run_in_thread, run_node
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     GRAPH_PERIOD_S,
     UNWAITED,
@@ -100,7 +100,7 @@ class RecorderNode(CellNode):
         self._settings = self.settings("recorder", RecorderSettings)
         self._bags, self._session = SessionBags(self._settings), RecordedSession()
         self._recording: BagRecording | None = None
-        self._silences = Silences(self._settings.silence_s, time.monotonic())
+        self._silences = SilenceMonitor(self._settings.silence_s, time.monotonic())
         self._jumps_before, self._reading, self._unwanted = 0, False, False
         self._log_times = LogTimes(self._clock_jumps)
         self.offer(StartRecording, "start_recording", self._start)
@@ -108,10 +108,10 @@ class RecorderNode(CellNode):
         self.offer(StopRecording, "stop_recording", self._stop, always=True)
         self.offer(Trigger, "recorded_observations", self._session.tell)
         self._called = TopicRoleFinder(self.get_namespace())
-        self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
+        self._dropouts = DropoutWriter(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         heard = self._take, self._dropouts.note, self._called.topics.values
         self._listener = TopicListener(self, *heard, fast=self._is_fast)
-        self._receipts = Receipts(self, self._called, self._listener, self._session)
+        self._receipts = ReceiptPublisher(self, self._called, self._listener, self._session)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def deactivated(self) -> None:
@@ -146,14 +146,14 @@ class RecorderNode(CellNode):
         if jumps := self.health.clock.since(self._jumps_before):
             recording.note(names.CLOCK_JUMPS, jumps_to_metadata(jumps))
 
-    def _take(self, topic: HeardTopic, batch: Batch) -> None:
+    def _take(self, topic: RecordedTopic, batch: Batch) -> None:
         if (recording := self._writing()) is None:
             return
         if topic.channel.topic == self._called.topic(names.OBSERVATION):
             batch = self._session.of_this_run(batch)
             if not batch:
                 return
-        messages = Messages.taken(topic.channel, batch)
+        messages = SerializedMessages.taken(topic.channel, batch)
         arrived_ns = [received_ns for _, received_ns, _ in messages.items]
         messages = messages.at(self._log_times.ascending(topic.channel.topic, arrived_ns))
         if not recording.put(messages):
@@ -193,14 +193,14 @@ class RecorderNode(CellNode):
         self._close()
         topic = self._called.topic(names.OBSERVATION)
         try:
-            if not await until(self.stopped, CLOSE_TIMEOUT_S):
+            if not await wait_for_condition(self.stopped, CLOSE_TIMEOUT_S):
                 raise BagError(
                     "the recorder is still closing the bag of the previous run: wait, "
                     "then try again"
                 )
             self._reading, self._unwanted = True, False
             self.health.beat()  # before the reading can delay it
-            bag = await in_thread(self._bags.go_on, request.plan_id, topic)
+            bag = await run_in_thread(self._bags.go_on, request.plan_id, topic)
             if self._unwanted:
                 bag.writer.close()
                 raise BagError(
@@ -213,18 +213,18 @@ class RecorderNode(CellNode):
             self._reading = False
         return response
 
-    def _begin(self, request: Request, bag: OpenBag, response: Response) -> None:
+    def _begin(self, request: Request, bag: RunBag, response: Response) -> None:
         """Record into ``bag`` from now on."""
         self._listener.drain()  # of what came before
         self._receipts.begin()
         self._jumps_before = self.health.clock.watch.count
         self._listener.begin(request.configuration)
-        self._silences = Silences(self._settings.silence_s, time.monotonic())
+        self._silences = SilenceMonitor(self._settings.silence_s, time.monotonic())
         self._session.begin(request.plan_id, bag.run, bag.earlier)
         recording = BagRecording(bag.writer, self._settings.queue_bytes, self._receipts.confirm)
         self._dropouts.begin(recording)
         self._called.keep(recording.note)  # before the configuration, where readers stop to look
-        keep_provenance(recording, request.configuration)
+        attach_provenance(recording, request.configuration)
         bag.keep(request.configuration)
         self._listener.tell_again(recording.put)
         self._recording = recording
@@ -240,7 +240,7 @@ class RecorderNode(CellNode):
             response.message = "nothing is being recorded"
             return response
         self._close()
-        await until(lambda: recording.finished, CLOSE_TIMEOUT_S)
+        await wait_for_condition(lambda: recording.finished, CLOSE_TIMEOUT_S)
         response.success, losses = recording.finished and not recording.error, self._all_losses()
         response.message = recording.error or ", ".join(f"{n}: {k}" for k, n in losses.items())
         response.file, response.messages = recording.file, recording.messages
@@ -287,7 +287,7 @@ _STAMP: Final = struct.Struct("<4xiI")
 
 
 @dataclass
-class HeardTopic:
+class RecordedTopic:
     """A topic that is recorded: its channel and how far it has come.
 
     ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
@@ -299,7 +299,7 @@ class HeardTopic:
     heard_ns: int = field(default_factory=time.time_ns)
     sent_ns: int = 0
     latest: bytes = b""
-    latched: deque[Messages] = field(default_factory=lambda: deque(maxlen=MOST_LATCHED))
+    latched: deque[SerializedMessages] = field(default_factory=lambda: deque(maxlen=MOST_LATCHED))
     losses: TopicLosses = field(default_factory=TopicLosses)
 
     def taken_ns(self, role: str, conventions: Conventions) -> int:
@@ -326,7 +326,7 @@ class TopicListener:
     def __init__(
         self,
         node: CellNode,
-        take: Callable[[HeardTopic, Batch], None],
+        take: Callable[[RecordedTopic, Batch], None],
         missed: Callable[[Dropout], None],
         further: Callable[[], Collection[str]] = tuple,
         fast: Callable[[str], bool] = lambda _: False,
@@ -338,7 +338,7 @@ class TopicListener:
         self._is_fast = fast
         self._drained: list[DrainedSubscription] = []
         self._fast: list[DrainedSubscription] = []
-        self.topics: dict[str, HeardTopic] = {}
+        self.topics: dict[str, RecordedTopic] = {}
         self.refused: dict[str, str] = {}
         self._conventions = Conventions(TopicSettings())
         self._incompatible: Counter[str] = Counter()
@@ -383,12 +383,16 @@ class TopicListener:
         steady = set(NEVER_PAUSE) - set(single_shots(self._conventions.settings))
         return {name: t.heard_s for name, t in self.topics.items() if role(name) in steady}
 
-    def tell_again(self, take: Callable[[Messages], object]) -> None:
+    def tell_again(self, take: Callable[[SerializedMessages], object]) -> None:
         """Hand over latched messages as if they had just come: every bag begins with them."""
         now_ns = time.time_ns()
         for topic in self.topics.values():
             for latched in topic.latched:
-                take(Messages(topic.channel, [(d, now_ns, sent) for d, _, sent in latched.items]))
+                take(
+                    SerializedMessages(
+                        topic.channel, [(d, now_ns, sent) for d, _, sent in latched.items]
+                    )
+                )
 
     def drain(self) -> None:
         """Handle what has arrived and is still waiting."""
@@ -410,7 +414,7 @@ class TopicListener:
                 continue
             try:
                 kind = message_type(type_name)
-                topic = HeardTopic(described_channel(name, type_name, infos))
+                topic = RecordedTopic(described_channel(name, type_name, infos))
             except BagError as error:
                 self.refused[name] = str(error)
                 self._node.get_logger().error(f"{name} cannot be recorded: {error}")
@@ -419,7 +423,7 @@ class TopicListener:
             self._subscribe(topic, kind, qos)
             self.topics[name] = topic  # only now: a subscription that fails is tried again
 
-    def _subscribe(self, topic: HeardTopic, kind: type, qos: QoSProfile) -> None:
+    def _subscribe(self, topic: RecordedTopic, kind: type, qos: QoSProfile) -> None:
         name = topic.channel.topic
 
         def missed(count: int, to_ns: int, reason: str) -> None:
@@ -461,16 +465,16 @@ class TopicListener:
             self._fast.append(self._drained[-1])
 
     def _heard(
-        self, topic: HeardTopic, batch: Batch, missed: Callable[[int, int, str], None]
+        self, topic: RecordedTopic, batch: Batch, missed: Callable[[int, int, str], None]
     ) -> None:
         """Note how far a topic has come and what is missing, and hand its messages over."""
         topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
         topic.sent_ns = sent_ns(batch[-1][1])
         if topic.channel.topic == names.TF_STATIC:
-            topic.latched.append(Messages.taken(topic.channel, batch))
+            topic.latched.append(SerializedMessages.taken(topic.channel, batch))
         elif topic.channel.topic.endswith((f"/{names.GOAL}", f"/{names.GOAL_STATUS}")):
             topic.latched.clear()  # published before the bag begins; the last one counts
-            topic.latched.append(Messages.taken(topic.channel, batch[-1:]))
+            topic.latched.append(SerializedMessages.taken(topic.channel, batch[-1:]))
         for _, info in batch:
             received_ns = info["received_timestamp"] or time.time_ns()
             if (lost := _lost_before(topic, info)) is not None:
@@ -479,14 +483,14 @@ class TopicListener:
         self._hand_over(topic, batch)
 
 
-def _beside_a_run(node: Node, topic: HeardTopic) -> HeardTopic:
+def _beside_a_run(node: Node, topic: RecordedTopic) -> RecordedTopic:
     """Return the channel that keeps messages of publishers which a run ignores."""
     last = topic.channel.topic.rpartition("/")[2]
     beside = node.resolve_topic_name(f"~/{last}_{names.LEFT_ALONE}")
-    return HeardTopic(replace(topic.channel, topic=beside))
+    return RecordedTopic(replace(topic.channel, topic=beside))
 
 
-def _lost_before(topic: HeardTopic, info: Any) -> int | None:
+def _lost_before(topic: RecordedTopic, info: Any) -> int | None:
     """Return how many messages are newly missing before one, by its number; None: none."""
     publisher = info.get("publisher_gid")
     if publisher is None:
@@ -508,7 +512,7 @@ def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
     }
 
 
-class Receipts:
+class ReceiptPublisher:
     """Confirms observations on a topic as soon as they and their readings are on disk."""
 
     def __init__(
@@ -530,7 +534,7 @@ class Receipts:
         points = self._listener.topics.get(self._called.topic(names.PROBE_POINT))
         self._pending = PendingReceipts(answered=points is not None and _echoes(points))
 
-    def hear(self, topic: HeardTopic, batch: Batch) -> None:
+    def hear(self, topic: RecordedTopic, batch: Batch) -> None:
         """Note observations, which need a receipt, and the points that answer orders."""
         name = topic.channel.topic
         if name == self._called.topic(names.OBSERVATION):
@@ -546,7 +550,7 @@ class Receipts:
                 point = deserialize_message(data, msg.ProbePoint)
                 self._pending.answer(point.step, point.attempt)
 
-    def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[Receipt]:
+    def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[WriteReceipt]:
         """Yield what can be confirmed; ``losses`` counts from the opening of the bag."""
         reached_ns = self._listener.reached_ns(NEEDED, self._called.topic)
         if not self._pending:
@@ -561,26 +565,26 @@ class Receipts:
                 )
             yield receipt
 
-    def confirm(self, receipt: Receipt, file: str) -> None:
+    def confirm(self, receipt: WriteReceipt, file: str) -> None:
         """Publish a receipt; called from the writer's thread."""
         message = msg.RecordedObservation(**asdict(receipt), file=file)
         message.header.stamp = self._clock.now().to_msg()
         self._publisher.publish(message)
 
 
-def _echoes(points: HeardTopic) -> bool:
+def _echoes(points: RecordedTopic) -> bool:
     """Return whether the points say which order they answer."""
     return points.channel.type_name == OWN[names.PROBE_POINT]
 
 
-def keep_provenance(recording: BagRecording, configuration_text: str) -> None:
+def attach_provenance(recording: BagRecording, configuration_text: str) -> None:
     """Put the configuration, what it measures and the versions into a bag."""
     recording.attach(names.CONFIGURATION, "application/yaml", configuration_text.encode())
-    recording.note(names.SUBJECT, subject(configuration_text))
+    recording.note(names.SUBJECT, measured_subject(configuration_text))
     recording.attach(names.VERSIONS, "application/json", versions_json().encode())
 
 
-def subject(configuration_text: str) -> dict[str, str]:
+def measured_subject(configuration_text: str) -> dict[str, str]:
     """Return what a configuration measures, for a bag's metadata; empty when it says nothing.
 
     The method is not loaded: that takes longer than a recorder may be silent.
@@ -634,7 +638,7 @@ class NodeParameters:
         self._found[node.get_name()] = {key: _plain(mine.value) for key, mine in own.items()}
         for name in others:
             node.begin(self._ask, name, f"{namespace.rstrip('/')}/{name}")
-        await until(lambda: None not in self._found.values(), ASKING_S)
+        await wait_for_condition(lambda: None not in self._found.values(), ASKING_S)
         self.attach()
 
     async def _ask(self, name: str, remote: str) -> None:
@@ -675,10 +679,10 @@ async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
 
 
 async def _ask(client: Client, request: Any) -> Any | None:
-    if not await until(client.service_is_ready, PARAMETERS_TIMEOUT_S):
+    if not await wait_for_condition(client.service_is_ready, PARAMETERS_TIMEOUT_S):
         return None
     future = client.call_async(request)
-    return future.result() if await until(future.done, PARAMETERS_TIMEOUT_S) else None
+    return future.result() if await wait_for_condition(future.done, PARAMETERS_TIMEOUT_S) else None
 
 
 def _value(parameter: ParameterValue) -> Any:
@@ -691,7 +695,7 @@ def _plain(value: Any) -> Any:
 
 def main() -> None:
     """Run the recorder."""
-    run(RecorderNode)
+    run_node(RecorderNode)
 
 
 if __name__ == "__main__":

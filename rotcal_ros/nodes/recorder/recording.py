@@ -43,7 +43,7 @@ from rotcal_ros.foundation.machine_load import end_without_memory
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.methods.continuation import Recorded
-from rotcal_ros.nodes.recorder.bookkeeping import Receipt, Silence
+from rotcal_ros.nodes.recorder.bookkeeping import SilentInterval, WriteReceipt
 from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.runtime.message_types import installed_hash, share_folder
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch
@@ -107,23 +107,25 @@ def _nanoseconds(duration: Duration) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Messages:
+class SerializedMessages:
     """Serialised messages of one topic with their times of reception and origin in ns."""
 
     channel: Channel
     items: Sequence[tuple[bytes, int, int]]
 
     @classmethod
-    def taken(cls, channel: Channel, batch: Batch) -> Messages:
+    def taken(cls, channel: Channel, batch: Batch) -> SerializedMessages:
         """Return messages as the middleware delivers them, perhaps without times."""
         now_ns = time.time_ns()
         times = ((d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch)
         return cls(channel, [(data, taken, sent or taken) for data, taken, sent in times])
 
-    def at(self, received_ns: Sequence[int]) -> Messages:
+    def at(self, received_ns: Sequence[int]) -> SerializedMessages:
         """Return the same messages with other times of reception."""
         times = zip(self.items, received_ns, strict=True)
-        return Messages(self.channel, [(data, now, sent) for (data, _, sent), now in times])
+        return SerializedMessages(
+            self.channel, [(data, now, sent) for (data, _, sent), now in times]
+        )
 
     def size(self) -> int:
         """Return the number of payload bytes."""
@@ -138,7 +140,7 @@ class BagRecording:
     """
 
     def __init__(
-        self, writer: BagWriter, queue_bytes: int, confirm: Callable[[Receipt, str], None]
+        self, writer: BagWriter, queue_bytes: int, confirm: Callable[[WriteReceipt, str], None]
     ) -> None:
         self._writer = writer
         self._limit = queue_bytes
@@ -164,7 +166,7 @@ class BagRecording:
         """Whether the bag is closed."""
         return not self._thread.is_alive()
 
-    def put(self, messages: Messages, *, in_any_case: bool = False) -> bool:
+    def put(self, messages: SerializedMessages, *, in_any_case: bool = False) -> bool:
         """Queue messages; with a full queue return False: they are lost and counted."""
         size = messages.size()
         with self._lock:
@@ -184,7 +186,7 @@ class BagRecording:
         """Queue a metadata record."""
         self._queue.put(partial(self._writer.note, name, values))
 
-    def confirm(self, receipt: Receipt) -> None:
+    def confirm(self, receipt: WriteReceipt) -> None:
         """Queue a request for a receipt."""
         self._queue.put(partial(self._sync, receipt))
 
@@ -220,11 +222,11 @@ class BagRecording:
                 end_without_memory(error, "bag writer")
                 self.error = f"the bag writer failed, which is a fault of rotcal_ros: {error!r}"
 
-    def _sync(self, receipt: Receipt) -> None:
+    def _sync(self, receipt: WriteReceipt) -> None:
         self._writer.sync()
         self._confirm(receipt, self.file)
 
-    def _write(self, messages: Messages) -> None:
+    def _write(self, messages: SerializedMessages) -> None:
         with self._lock:
             self._waiting -= messages.size()
         channel = messages.channel
@@ -251,7 +253,7 @@ JOINED_WITHIN_S: Final = 1.0
 """Gaps of a topic with the same reason within this time are written as one dropout."""
 
 
-class DropoutNotes:
+class DropoutWriter:
     """What is missing from the bag being written: at most a message per topic, reason and second.
 
     They are written to ``topic``, at the log time of their end.
@@ -275,13 +277,13 @@ class DropoutNotes:
         since_s, earlier = self._waiting.get(key, (time.monotonic(), None))
         self._waiting[key] = since_s, dropout if earlier is None else earlier.joined(dropout)
 
-    def refused(self, messages: Messages) -> None:
+    def refused(self, messages: SerializedMessages) -> None:
         """Note messages for which the queue had no room."""
         times_ns = [received_ns for _, received_ns, _ in messages.items]
         topic, count = messages.channel.topic, len(times_ns)
         self.note(Dropout(topic, min(times_ns), max(times_ns), count, QUEUE))
 
-    def silences(self, ended: list[Silence]) -> None:
+    def silences(self, ended: list[SilentInterval]) -> None:
         """Note silences that have ended."""
         for silence in ended:
             begin, end = map(_wall_ns, (silence.from_s, silence.to_s))
@@ -297,7 +299,7 @@ class DropoutNotes:
                 del self._waiting[key]
                 channel = own_channel(self._topic, MESSAGE_TYPE)
                 item = (serialize_message(_message(dropout)), dropout.to_ns, dropout.to_ns)
-                self._recording.put(Messages(channel, [item]), in_any_case=True)
+                self._recording.put(SerializedMessages(channel, [item]), in_any_case=True)
 
 
 def _wall_ns(monotonic_s: float) -> int:
@@ -317,7 +319,7 @@ def _message(dropout: Dropout) -> DiagnosticArray:
 
 
 @dataclass(frozen=True)
-class OpenBag:
+class RunBag:
     """A bag that is open for a run; ``earlier`` holds the observations of the runs before."""
 
     folder: SessionFolder
@@ -347,7 +349,7 @@ class SessionBags:
             left = any(bag.glob("*.mcap"))
             self._earlier = InterruptedSession.read(bag) if left else InterruptedSession()
 
-    def open(self, plan_id: str) -> OpenBag:
+    def open(self, plan_id: str) -> RunBag:
         """Open the bag of a new session (or run of one)."""
         now = datetime.now(timezone.utc)
         name = self._settings.session or f"{now:%Y%m%dT%H%M%SZ}_{plan_id[:8]}"
@@ -355,9 +357,9 @@ class SessionBags:
         earlier, self._earlier = self._earlier, None
         writer = self._writer(folder, earlier)
         self._note(writer, self._settings.run, earlier)
-        return OpenBag(folder, writer, self._settings.run)
+        return RunBag(folder, writer, self._settings.run)
 
-    def go_on(self, plan_id: str, topic: str) -> OpenBag:
+    def go_on(self, plan_id: str, topic: str) -> RunBag:
         """Open the next run of the last session of a plan, with the observations on ``topic``.
 
         Raises BagError when there is none that could be continued.
@@ -369,7 +371,7 @@ class SessionBags:
         writer = self._writer(folder, earlier)
         run = len(files)  # no earlier run has this number: each wrote a file at least
         self._note(writer, run, earlier, earlier=names.RECORDED)
-        return OpenBag(folder, writer, run, observed)
+        return RunBag(folder, writer, run, observed)
 
     def _writer(self, folder: SessionFolder, earlier: InterruptedSession | None) -> BagWriter:
         """Return the writer of a new file that follows the files of ``earlier``."""

@@ -21,7 +21,7 @@ from rotcal_ros.capture.publishers import (
     PublisherList,
     publisher_of,
 )
-from rotcal_ros.nodes.runtime.beat_values import INTRUDER, show
+from rotcal_ros.nodes.runtime.beat_values import INTRUDER, set_warning
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch
 
 ACCEPTED: Final = "believed"
@@ -57,7 +57,7 @@ class AcceptedPublishers:
     def accepts(self, topic: str, info: Any) -> bool:
         """Return whether a message on a topic (absolute name) counts, by its message info."""
         self._follow()
-        if self._judge.accepts(topic, origin_of(info)):
+        if self._judge.accepts(topic, message_publisher(info)):
             return True
         self._tell()
         return False
@@ -78,7 +78,11 @@ class AcceptedPublishers:
         if not self._judge.accepted.publishers:
             return {}
         apart = ", ".join(self._apart())
-        return {HEARS: digest(self._judge.accepted)} if self._joined else {APART: apart}
+        return (
+            {HEARS: accepted_publishers_hash(self._judge.accepted)}
+            if self._joined
+            else {APART: apart}
+        )
 
     def _apart(self) -> list[str]:
         """Return the topics of the run on which this node is not connected to all others yet.
@@ -147,16 +151,16 @@ class AcceptedPublishers:
 
     def _show(self, text: str | None) -> None:
         if not self._quiet:
-            show(self._node.health, INTRUDER, text)
+            set_warning(self._node.health, INTRUDER, text)
 
 
-def origin_of(info: Any) -> MessageOrigin:
+def message_publisher(info: Any) -> MessageOrigin:
     """Return the publisher of a message by its message info, which not every ROS 2 fills in."""
     publisher, number = info.get("publisher_gid"), info.get("publication_sequence_number")
     identity = publisher_of(publisher["data"]) if publisher else ""
     return MessageOrigin(identity, None if number is None else int(number))
 
 
-def digest(accepted: PublisherList) -> str:
+def accepted_publishers_hash(accepted: PublisherList) -> str:
     """Return a hash of the accepted publishers."""
     return hashlib.sha256(accepted.in_a_beat().encode()).hexdigest()[:12]

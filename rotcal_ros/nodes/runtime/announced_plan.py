@@ -22,7 +22,7 @@ from rotcal_ros.methods import Calibration, prepare
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.method import DEFAULT, find_method
-from rotcal_ros.nodes.runtime.beat_values import FOREIGN_PLAN, show
+from rotcal_ros.nodes.runtime.beat_values import FOREIGN_PLAN, set_warning
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.qos import LATCHED
@@ -31,7 +31,7 @@ REFUSED_RUN: Final = "refused_run"
 """Value in a beat: the run whose plan the node could not take, a blank, and the reason."""
 
 
-def calibration_of(message: CalibrationPlan) -> Calibration:
+def calibration_from_message(message: CalibrationPlan) -> Calibration:
     """Return the calibration that a plan message describes.
 
     Raises PlanError if the configuration gives another plan here than at the planner, because the
@@ -92,7 +92,7 @@ class PlanSubscription:
                 self._ignored(message, "is not the planner's and was ignored")
                 continue
             for key in (FOREIGN_PLAN, REFUSED_RUN):
-                show(self._node.health, key, None)
+                set_warning(self._node.health, key, None)
             try:
                 self._take(message)
             except Exception as error:  # the goal must hear of a fault of this program, too
@@ -113,7 +113,7 @@ class PlanSubscription:
     def _refused(self, message: CalibrationPlan, error: Exception) -> None:
         """Tell the planner at once, which would wait for this node in vain."""
         health, why = self._node.health, str(error) or type(error).__name__
-        show(health, REFUSED_RUN, f"{unique_run_name(message)} {why}", alarm=True)
+        set_warning(health, REFUSED_RUN, f"{unique_run_name(message)} {why}", alarm=True)
         health.beat()
 
     def _ignored(self, message: CalibrationPlan, why: str) -> None:
@@ -125,4 +125,4 @@ class PlanSubscription:
             f"{', '.join(others) or 'a node that left'})"
         )
         self._node.get_logger().warning(text)
-        show(self._node.health, FOREIGN_PLAN, text)
+        set_warning(self._node.health, FOREIGN_PLAN, text)

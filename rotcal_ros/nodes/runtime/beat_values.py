@@ -62,7 +62,7 @@ OF_MACHINES: Final = (BLOCKED, COMPLAINT)
 """Values in a beat that may explain why a calibration cannot go on."""
 
 
-def show(health: Any, key: str, text: str | None, *, alarm: bool = False) -> None:
+def set_warning(health: Any, key: str, text: str | None, *, alarm: bool = False) -> None:
     """Show ``text`` as a warning, or with ``alarm`` as an error; None: it is over."""
     for book, is_its in ((health.concerns, not alarm), (health.alarms, alarm)):
         book.pop(key, None)
@@ -70,7 +70,7 @@ def show(health: Any, key: str, text: str | None, *, alarm: bool = False) -> Non
             book[key] = text
 
 
-def warnings_told(health: Any, keys: Collection[str] = FOR_PEOPLE) -> Iterator[str]:
+def reported_warnings(health: Any, keys: Collection[str] = FOR_PEOPLE) -> Iterator[str]:
     """Yield the present warnings of the other nodes under these ``keys``."""
     for name in health.others:
         values = health.values(name)
@@ -99,7 +99,7 @@ MOST_JOINTS: Final = 32
 """Largest number of joints in a beat, besides the chosen one once there is a plan."""
 
 
-def reading(record: Record | Position) -> str:
+def reading_values(record: Record | Position) -> str:
     """Return a reading in SI: length and status, point, angle, or air and sensor."""
     match record:
         case TracerSample():
@@ -132,18 +132,18 @@ Resolve = Callable[[str], str]
 """The absolute name of a topic for this node."""
 
 
-def other_names(namespace: str, resolve: Resolve) -> dict[str, str]:
+def remapped_topic_values(namespace: str, resolve: Resolve) -> dict[str, str]:
     """Return the values of a beat for roles that have another name in a node."""
     called = {role: resolve(role) for role in sorted(names.ROLES)}
     return {f"{TOPIC}{r}": n for r, n in called.items() if n != plain_name(namespace, r)}
 
 
-def name_in(values: Mapping[str, str], role: str) -> str:
+def displayed_topic(values: Mapping[str, str], role: str) -> str:
     """Return the name of a role's topic to show; the role itself where it is not renamed."""
     return values.get(TOPIC + role, role)
 
 
-def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
+def mismatched_topics(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
     """Yield which topics have another name in a node than in the planner, in words."""
     for node, roles in _HEARD_OF_THE_PLANNER.items():
         for role in roles:
@@ -155,15 +155,15 @@ def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
                 )
 
 
-def names_at_odds(node: Any, topics_of_goal: str) -> list[str]:
+def mismatched_topic_lines(node: Any, topics_of_goal: str) -> list[str]:
     """Return which names of topics do not match, in words, as the planner's ``node`` sees it."""
     values = node.health.values
     if values("capture").get(TOPICS) != topics_of_goal:
         return ["node capture has not taken the names in the group topics yet"]
-    return list(at_odds(values, node.get_namespace(), node.resolve_topic_name))
+    return list(mismatched_topics(values, node.get_namespace(), node.resolve_topic_name))
 
 
-def given_topics(configuration: Configuration) -> dict[str, Any]:
+def configured_topics(configuration: Configuration) -> dict[str, Any]:
     """Return what a configuration gives in its group ``topics``."""
     given = (name.partition(".") for name in configuration.given)
     found = {name for group, _, name in given if group == "topics" and name}
@@ -172,4 +172,4 @@ def given_topics(configuration: Configuration) -> dict[str, Any]:
 
 def topics_value(configuration: Configuration) -> str:
     """Return the values of a planner's beat for its goal's group ``topics``."""
-    return json.dumps(given_topics(configuration), sort_keys=True)
+    return json.dumps(configured_topics(configuration), sort_keys=True)

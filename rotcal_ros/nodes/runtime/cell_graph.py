@@ -14,7 +14,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rotcal_ros.bags import names
 from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.foundation.node_names import VIEWERS
-from rotcal_ros.nodes.runtime.message_types import another_version
+from rotcal_ros.nodes.runtime.message_types import version_mismatch
 from rotcal_ros.nodes.runtime.qos import EVENT
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
@@ -101,7 +101,7 @@ class CellGraph:
             if info.node_name not in NO_MACHINE
         ]
         for topic, info in ends:
-            if text := another_version(info.topic_type, str(info.topic_type_hash)):
+            if text := version_mismatch(info.topic_type, str(info.topic_type_hash)):
                 yield f"{self.resolve(topic)}: node {info.node_name} has {text}"
 
     def elsewhere(self, role: str, own: str) -> str:

@@ -22,7 +22,7 @@ from rotcal_ros.foundation.machine_load import WaitBudget
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
 from rotcal_ros.nodes.runtime.accepted_publishers import AcceptedPublishers
-from rotcal_ros.nodes.runtime.beat_values import other_names
+from rotcal_ros.nodes.runtime.beat_values import remapped_topic_values
 from rotcal_ros.nodes.runtime.health import Health, Values
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode, declare_settings, given_parameters
 from rotcal_ros.nodes.runtime.qos import EVENT
@@ -51,7 +51,7 @@ def _next_turn() -> Generator[None, None, None]:
     yield
 
 
-async def until(
+async def wait_for_condition(
     condition: Callable[[], bool],
     timeout_s: float,
     check: Callable[[], None] | None = None,
@@ -91,7 +91,7 @@ class CellNode(ManagedNode, ABC):
         self._ignored_topics: set[str] = set()
         self._answering = 0
         self._answers = MutuallyExclusiveCallbackGroup()
-        self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
+        self._names: Values = remapped_topic_values(self.get_namespace(), self.resolve_topic_name)
         self.accepted = AcceptedPublishers(self, quiet=name in _QUIET)
         settings = self.settings("health", HealthSettings)
         self.health = Health(self, self._beat_values, self._missed, settings=settings)
@@ -213,7 +213,7 @@ class CellNode(ManagedNode, ABC):
     async def answer_of(self, future: Future[T], timeout_s: float) -> T:
         """Return the result of work in a thread; the executor goes on meanwhile."""
         future.add_done_callback(lambda _: self.executor.wake())
-        await until(future.done, timeout_s)
+        await wait_for_condition(future.done, timeout_s)
         return future.result(timeout=0.0)
 
     @abstractmethod

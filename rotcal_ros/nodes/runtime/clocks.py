@@ -46,12 +46,12 @@ class ReportedClockJumps:
         return tuple(self.watch.jumps)[-new:] if new else ()
 
 
-def jumps_told(beats: Iterable[Mapping[str, str]]) -> int:
+def reported_jump_count(beats: Iterable[Mapping[str, str]]) -> int:
     """Return the number of jumps in the values of all beats."""
     return sum(int(values.get(JUMPS, 0)) for values in beats)
 
 
-def jumps_in_words(health: Any) -> tuple[str, ...]:
+def describe_clock_jumps(health: Any) -> tuple[str, ...]:
     """Return the large clock jumps that nodes report, the node of ``health`` first."""
     health.clock.look()
     beats = [health.clock.concerns, *map(health.values, health.others)]
@@ -143,7 +143,7 @@ class SimClock:
         return float(self._steady() - self._moved_s)
 
 
-def unlike_clocks(health: Any, configuration: Configuration) -> list[str]:
+def clock_mismatches(health: Any, configuration: Configuration) -> list[str]:
     """Return why the nodes do not share one time, in words."""
     own = health.sim.used
     other = [name for name in PREFLIGHT_NODES if (SIM_TIME in health.values(name)) != own]

@@ -33,7 +33,7 @@ from rotcal_ros.foundation.observations import (
 )
 from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.results import FreeDirection as OpenZero
-from rotcal_ros.planning.choices import Choice
+from rotcal_ros.planning.choices import StepChoice
 from rotcal_ros.planning.plan import MACHINE_FRAME
 
 TABLE: Final = "table_base"
@@ -51,7 +51,7 @@ def time_message(nanoseconds: int) -> Time:
     return Time(sec=seconds, nanosec=rest)
 
 
-def header(nanoseconds: int, frame: str = TABLE) -> Header:
+def make_header(nanoseconds: int, frame: str = TABLE) -> Header:
     """Return a header."""
     return Header(stamp=time_message(nanoseconds), frame_id=frame)
 
@@ -65,7 +65,7 @@ def tracer_message(sample: TracerSample) -> msg.TracerLength:
 def table_message(sample: TableSample, joint: str) -> JointState:
     """Return the message of table feedback."""
     return JointState(
-        header=header(sample.stamp_ns),
+        header=make_header(sample.stamp_ns),
         name=[joint],
         position=[sample.angle],
         velocity=[sample.velocity],
@@ -80,13 +80,13 @@ def probe_message(sample: ProbeSample, frame: str) -> msg.ProbePoint:
 
 def temperature_message(sample: TemperatureSample) -> Temperature:
     """Return the message of a temperature; the variance is unknown."""
-    head = header(sample.stamp_ns, sample.sensor)
+    head = make_header(sample.stamp_ns, sample.sensor)
     return Temperature(header=head, temperature=sample.temperature_c)
 
 
 def air_message(sample: PressureSample | HumiditySample) -> FluidPressure | RelativeHumidity:
     """Return the message of a pressure or a humidity; the variance is unknown."""
-    head = header(sample.stamp_ns, sample.sensor)
+    head = make_header(sample.stamp_ns, sample.sensor)
     if isinstance(sample, PressureSample):
         return FluidPressure(header=head, fluid_pressure=sample.pressure_pa)
     return RelativeHumidity(header=head, relative_humidity=sample.humidity)
@@ -113,7 +113,7 @@ def observation_message(captured: Observation) -> msg.Observation:
         temperature=_or_nan(captured.temperature_c),
         pressure=_or_nan(captured.pressure_pa),
         humidity=_or_nan(captured.humidity),
-        reason_code=text_code(captured.reason),
+        reason_code=code_of_text(captured.reason),
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),
     )
@@ -124,12 +124,12 @@ def _or_nan(value: float | None) -> float:
 
 
 def choice_message(
-    choice: Choice, plan_id: str, run: int, number: int, attempt: int, now_ns: int
+    choice: StepChoice, plan_id: str, run: int, number: int, attempt: int, now_ns: int
 ) -> msg.StepChoice:
     """Return the message of what the planner chose."""
     standing = choice.standing
     return msg.StepChoice(
-        header=header(now_ns),
+        header=make_header(now_ns),
         plan_id=plan_id,
         run=run,
         number=number,
@@ -137,7 +137,7 @@ def choice_message(
         step=choice.step or 0,
         attempt=attempt,
         reason=choice.reason,
-        reason_code=text_code(choice.reason),
+        reason_code=code_of_text(choice.reason),
         uncertainty=standing.uncertainty,
         goal=standing.goal,
         left=standing.left,
@@ -161,7 +161,7 @@ def deviations_message(
         "adjacent_std": () if steps_std is None else steps_std,
         "directions": _directions(result, 1.0, covariance=whole),
         "n_rejected": len(result.rejected),
-        "warning_codes": [text_code(warning) for warning in result.warnings],
+        "warning_codes": [code_of_text(warning) for warning in result.warnings],
         "not_protected": result.unprotected,
     }
     return _filled(msg.DeviationArray, result, now_ns, **others)
@@ -288,7 +288,7 @@ def result_values(result: Result) -> dict[str, str]:
 
 def in_force_message(axis: str, in_force: str, now_ns: int) -> msg.TableInForce:
     """Return the message that announces what the controller of ``axis`` holds."""
-    return msg.TableInForce(header=header(now_ns), axis=axis, in_force=in_force)
+    return msg.TableInForce(header=make_header(now_ns), axis=axis, in_force=in_force)
 
 
 def _arguments(reason: msg.NodeReason) -> Iterator[str]:
@@ -299,7 +299,7 @@ def _arguments(reason: msg.NodeReason) -> Iterator[str]:
         yield messages.coded_phrase(text, code) if code and code.code else text
 
 
-def text_code(text: str) -> msg.TextCode:
+def code_of_text(text: str) -> msg.TextCode:
     """Return what a text for people was made of; empty for a mere name."""
     code, arguments = code_of(text)
     return msg.TextCode(code=code, arguments=arguments)
@@ -309,7 +309,7 @@ def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **othe
     """Return a message with the fields that its record has under the same name, and others."""
     names = kind.get_fields_and_field_types()
     same = {name: getattr(record, name) for name in names if hasattr(record, name)}
-    return kind(**{**same, **others, "header": header(stamp_ns, frame)})
+    return kind(**{**same, **others, "header": make_header(stamp_ns, frame)})
 
 
 def node_state_message(state: NodeState) -> msg.NodeState:
@@ -322,7 +322,7 @@ def node_state_message(state: NodeState) -> msg.NodeState:
             msg.NodeReason(
                 code=reason.code,
                 arguments=list(reason.arguments),
-                argument_codes=[text_code(argument) for argument in reason.arguments],
+                argument_codes=[code_of_text(argument) for argument in reason.arguments],
             )
             for reason in state.reasons
         ],

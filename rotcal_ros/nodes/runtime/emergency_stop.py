@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from rotcal_ros.nodes.runtime.beat_values import EMERGENCY, show
+from rotcal_ros.nodes.runtime.beat_values import EMERGENCY, set_warning
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT, VIEW
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
@@ -60,7 +60,7 @@ class EmergencyStop:
         self.count = 0
         self._heard: list[DrainedSubscription] = []
         self._topic, self._profiles = topic, list[QoSProfile]()
-        show(node.health, EMERGENCY, None)
+        set_warning(node.health, EMERGENCY, None)
         if topic:
             self._subscribe(VIEW)
         if settings.stop_on_diagnostics:
@@ -134,4 +134,4 @@ class EmergencyStop:
             text = f"the emergency stop is over, it was: {before}; nothing moves by itself"
             self._node.get_logger().warning(text)
         if self.why != before:
-            show(self._node.health, EMERGENCY, self.why and f"{self.why}; {self._effect}")
+            set_warning(self._node.health, EMERGENCY, self.why and f"{self.why}; {self._effect}")

@@ -77,7 +77,7 @@ class Liveness:
 
 
 @dataclass
-class Overload:
+class OverloadMonitor:
     """Reports an overload of the machine once when it begins and once when it is over.
 
     ``text`` says which nodes are waited for at present; None: none.
@@ -224,7 +224,7 @@ _STATE, _START = 0, 19
 
 
 @cache
-def machine() -> str:
+def host_identity() -> str:
     """Return a name for this machine and its space of process ids."""
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
@@ -243,12 +243,12 @@ class HostProcess:
     @classmethod
     def own(cls) -> HostProcess:
         """Return this process."""
-        return cls(machine(), os.getpid(), _fields(os.getpid())[1])
+        return cls(host_identity(), os.getpid(), _fields(os.getpid())[1])
 
     @property
     def is_of_here(self) -> bool:
         """Whether it runs on this machine."""
-        return self.host == machine()
+        return self.host == host_identity()
 
     @property
     def is_gone(self) -> bool:

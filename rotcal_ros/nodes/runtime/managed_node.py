@@ -27,14 +27,14 @@ from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.settings import Declaration, declarations, load
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
-    connect,
+    connect_subscriptions,
     handle_events,
     steady_timer,
-    with_unwaited_events,
+    with_polled_events,
 )
 
 
-def entities(node: Node) -> Iterator[Any]:
+def node_entities(node: Node) -> Iterator[Any]:
     """Yield all publishers, subscriptions, clients, services, timers and actions of a node.
 
     A subscription stands as its callback, for which it may be made anew.
@@ -47,7 +47,7 @@ def entities(node: Node) -> Iterator[Any]:
     yield from node.publishers
 
 
-def destroy(node: Node, kept: Set[Any]) -> None:
+def destroy_entities(node: Node, kept: Set[Any]) -> None:
     """Destroy all entities but those ``kept``; an entity that belongs to another goes with it."""
     ways = (
         (node.timers, node.destroy_timer),
@@ -73,7 +73,7 @@ SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 FAILURE: Final = TransitionCallbackReturn.FAILURE
 
 
-def not_active(health: Any, names: Iterable[str]) -> list[str]:
+def inactive_node_hints(health: Any, names: Iterable[str]) -> list[str]:
     """Return which of these nodes are not active, and how to activate them."""
     idle = (name for name in names if health.state(name) in NOT_ACTIVE)
     return [f"node {name} is {health.describe(name)}" for name in idle]
@@ -99,15 +99,15 @@ class ManagedNode(LifecycleNode):
 
     def _attend(self) -> None:
         handle_events(self)
-        connect(self)
+        connect_subscriptions(self)
 
     def create_subscription(self, *arguments: Any, **options: Any) -> Any:
         """Create one whose events are polled."""
-        return with_unwaited_events(super().create_subscription(*arguments, **options))
+        return with_polled_events(super().create_subscription(*arguments, **options))
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Any:
         """Create one whose events are polled."""
-        return with_unwaited_events(super().create_publisher(*arguments, **options))
+        return with_polled_events(super().create_publisher(*arguments, **options))
 
     def parameter(
         self, name: str, default: Any, description: str, *, read_only: bool = True
@@ -179,10 +179,10 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make what is needed; after a failure nothing is left."""
-        self._outside, self._ending = frozenset(entities(self)), False
+        self._outside, self._ending = frozenset(node_entities(self)), False
         self.configured = self._did("configure", self.configure)
         if not self.configured:
-            destroy(self, self._outside)
+            destroy_entities(self, self._outside)
         return self._entered(self.configured)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -212,7 +212,7 @@ class ManagedNode(LifecycleNode):
                 return FAILURE
             time.sleep(_POLL_S)
         self.configured = False
-        destroy(self, self._outside)
+        destroy_entities(self, self._outside)
         return self._entered(True)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -42,12 +42,12 @@ def message_type(type_name: str) -> type:
     return found
 
 
-def numbers_of(message: Any) -> Iterator[str]:
+def numeric_fields(message: Any) -> Iterator[str]:
     """Yield the dotted names of the numbers of a message."""
     for name in message.get_fields_and_field_types():
         value = getattr(message, name)
         if hasattr(value, "get_fields_and_field_types"):
-            yield from (f"{name}.{inner}" for inner in numbers_of(value))
+            yield from (f"{name}.{inner}" for inner in numeric_fields(value))
         elif isinstance(value, int | float):
             yield name
 
@@ -61,7 +61,7 @@ ONE_VERSION: Final = (
 )
 
 
-def another_version(type_name: str, type_hash: str) -> str | None:
+def version_mismatch(type_name: str, type_hash: str) -> str | None:
     """Return in words that a type is defined otherwise elsewhere, by its hash there; None: not.
 
     What has no hash, there or here, is not judged.

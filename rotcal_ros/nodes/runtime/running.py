@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.machine_load import WaitBudget, end_without_memory
 from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, explain_start_failure, middleware
-from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.cell_node import CellNode, wait_for_condition
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import wake_after_jumps
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
@@ -41,7 +41,7 @@ _PEER_TURN_S: Final = 0.1
 T = TypeVar("T")
 
 
-def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
+def run_node(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
     """Make a node, spin it until it has to end, and exit.
 
     ``default_range`` is the discovery range unless the user has set one.
@@ -166,22 +166,22 @@ def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
         executor.spin_once(timeout_sec=_TURN_S)
 
 
-async def in_thread(work: Callable[..., T], *arguments: object) -> T:
+async def run_in_thread(work: Callable[..., T], *arguments: object) -> T:
     """Run ``work`` in a thread of its own; return what it returns or raise what it raises."""
     with ThreadPoolExecutor(max_workers=1) as aside:
         found = aside.submit(work, *arguments)
-        await until(found.done, math.inf)
+        await wait_for_condition(found.done, math.inf)
         return found.result()
 
 
-def say(event: str, **values: Any) -> None:
+def print_event(event: str, **values: Any) -> None:
     """Print one line, even if its reader is gone."""
     with suppress(BrokenPipeError):
         sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
         sys.stdout.flush()
 
 
-class Peer:
+class PeerNode:
     """A node in a context of its own, which is a DDS participant of its own.
 
     ``args`` are arguments of ROS's command line.

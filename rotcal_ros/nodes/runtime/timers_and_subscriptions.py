@@ -72,7 +72,7 @@ def wake_after_jumps(executor: Executor) -> None:
     Thread(target=watch, name="clock watch", daemon=True).start()
 
 
-class Unwaited(CallbackGroup):
+class PolledCallbackGroup(CallbackGroup):
     """A callback group whose entities no executor waits for: a timer polls them.
 
     An executor leaves an entity out of its wait set if the group says that it cannot be executed.
@@ -90,10 +90,10 @@ class Unwaited(CallbackGroup):
         """Do nothing: no execution has begun."""
 
 
-UNWAITED: Final = Unwaited()
+UNWAITED: Final = PolledCallbackGroup()
 
 
-def with_unwaited_events(entity: Any) -> Any:
+def with_polled_events(entity: Any) -> Any:
     """Return a publisher or subscription whose events :func:`handle_events` polls."""
     for handler in entity.event_handlers:
         handler.callback_group = UNWAITED
@@ -161,7 +161,7 @@ class DrainedSubscription:
         *,
         raw: bool = False,
         event_callbacks: Any = None,
-        group: Unwaited | None = None,
+        group: PolledCallbackGroup | None = None,
     ) -> None:
         self._node, self._handle, self._type, self._raw = node, handle, message_type, raw
         self._make = partial(
@@ -207,7 +207,7 @@ class DrainedSubscription:
                 batch.append(pair)
 
 
-def connect(node: Node) -> None:
+def connect_subscriptions(node: Node) -> None:
     """Let every :class:`DrainedSubscription` of a node look whether it is connected."""
     owners = [getattr(each.callback, "__self__", None) for each in node.subscriptions]
     for owner in owners:

@@ -80,7 +80,7 @@ _MARGIN = 1.2
 _LEAST_RADIUS_M = 0.1
 
 
-class PlaceState(Enum):
+class TargetState(Enum):
     """What was last seen at a place."""
 
     OPEN = "open"
@@ -113,7 +113,7 @@ class SceneLayout:
         return np.array([self.instruments(angle)[step.station], step.position])
 
 
-def layout_of(calibration: Calibration) -> SceneLayout:
+def make_layout(calibration: Calibration) -> SceneLayout:
     """Return the layout of a calibration; the table reaches as far as what it carries."""
     method, plan = calibration.method, calibration.plan
     stations = Stations()
@@ -133,7 +133,7 @@ class SceneProgress:
     def __init__(self, layout: SceneLayout) -> None:
         index = {place: number for number, place in enumerate(layout.places)}
         self._place = [index[step.position] for step in layout.steps]
-        self._seen = [PlaceState.OPEN] * len(layout.places)
+        self._seen = [TargetState.OPEN] * len(layout.places)
         self._ordered: int | None = None
 
     def order(self, step: int) -> None:
@@ -142,16 +142,16 @@ class SceneProgress:
 
     def observe(self, step: int, *, accepted: bool) -> None:
         """Note what became of a step."""
-        self._seen[self._place[step]] = PlaceState.DONE if accepted else PlaceState.REJECTED
+        self._seen[self._place[step]] = TargetState.DONE if accepted else TargetState.REJECTED
         if step == self._ordered:
             self._ordered = None
 
     @property
-    def states(self) -> tuple[PlaceState, ...]:
+    def states(self) -> tuple[TargetState, ...]:
         """The state of each place."""
         states = list(self._seen)
         if self._ordered is not None:
-            states[self._place[self._ordered]] = PlaceState.CURRENT
+            states[self._place[self._ordered]] = TargetState.CURRENT
         return tuple(states)
 
 
@@ -164,18 +164,18 @@ GREY: Final[Colour] = (0.55, 0.58, 0.62, 0.6)
 DARK: Final[Colour] = (0.2, 0.22, 0.25, 1.0)
 BLUE: Final[Colour] = (0.0, 0.45, 0.7, 1.0)
 RED: Final[Colour] = (0.9, 0.1, 0.1, 0.9)
-COLOURS: Final[Mapping[PlaceState, Colour]] = {
-    PlaceState.OPEN: (0.6, 0.6, 0.6, 0.7),
-    PlaceState.CURRENT: (0.94, 0.89, 0.26, 1.0),
-    PlaceState.DONE: (0.0, 0.62, 0.45, 1.0),
-    PlaceState.REJECTED: (0.84, 0.37, 0.0, 1.0),
+COLOURS: Final[Mapping[TargetState, Colour]] = {
+    TargetState.OPEN: (0.6, 0.6, 0.6, 0.7),
+    TargetState.CURRENT: (0.94, 0.89, 0.26, 1.0),
+    TargetState.DONE: (0.0, 0.62, 0.45, 1.0),
+    TargetState.REJECTED: (0.84, 0.37, 0.0, 1.0),
 }
 """Colours of places, distinct also for people who confuse red and green (Okabe and Ito)."""
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class DrawnDeviations:
     """Deviations of the table: ``translation`` (n, 3) m and ``rotation`` (n, 3) rad.
 
     At commanded angles (n,) rad; zero where a deviation was not measured.
@@ -194,8 +194,11 @@ class Errors:
         return places, self.translation + np.cross(self.rotation, places)
 
 
-def draw_still(
-    layout: SceneLayout, states: Sequence[PlaceState], errors: Errors | None, exaggeration: float
+def draw_static_shapes(
+    layout: SceneLayout,
+    states: Sequence[TargetState],
+    errors: DrawnDeviations | None,
+    exaggeration: float,
 ) -> tuple[Shape, ...]:
     """Return the axis, the places with their states, and the errors ``exaggeration`` times."""
     radius = layout.radius
@@ -221,7 +224,7 @@ def draw_still(
     return tuple(shapes)
 
 
-def draw_moving(layout: SceneLayout, angle: float, step: Step | None) -> tuple[Shape, ...]:
+def draw_moving_shapes(layout: SceneLayout, angle: float, step: Step | None) -> tuple[Shape, ...]:
     """Return the table at ``angle`` (rad), its zero mark, the instruments, and the beam."""
     radius, thickness = layout.radius, 0.06 * layout.radius
     mark = np.stack([np.zeros(3), rotation_about_z(angle) @ np.array([radius, 0.0, 0.0])])
@@ -239,7 +242,7 @@ def draw_moving(layout: SceneLayout, angle: float, step: Step | None) -> tuple[S
     return tuple(shapes)
 
 
-def standing_frames() -> tuple[Transform, ...]:
+def fixed_frames() -> tuple[Transform, ...]:
     """Return the frames that do not move: in plans machine and fixed table frame are one."""
     return (Transform(MACHINE, TABLE_BASE),)
 

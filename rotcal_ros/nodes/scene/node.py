@@ -25,23 +25,25 @@ from rotcal_ros.capture import messages
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.nodes.runtime.announced_plan import calibration_of
+from rotcal_ros.nodes.runtime.announced_plan import calibration_from_message
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.conversions import header
+from rotcal_ros.nodes.runtime.conversions import make_header
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.nodes.scene import drawing
 
 
-def markers(shapes: Iterable[drawing.Shape], stamp_ns: int) -> MarkerArray:
+def marker_array(shapes: Iterable[drawing.Shape], stamp_ns: int) -> MarkerArray:
     """Return a whole scene, which replaces what its topic has shown before."""
-    clear = Marker(header=header(stamp_ns), action=Marker.DELETEALL)
+    clear = Marker(header=make_header(stamp_ns), action=Marker.DELETEALL)
     return MarkerArray(markers=[clear, *(_marker(shape, stamp_ns) for shape in shapes)])
 
 
-def transform(frame: drawing.Transform, stamp_ns: int) -> TransformStamped:
+def transform_message(frame: drawing.Transform, stamp_ns: int) -> TransformStamped:
     """Return the message of a frame."""
-    message = TransformStamped(header=header(stamp_ns, frame.parent), child_frame_id=frame.child)
+    message = TransformStamped(
+        header=make_header(stamp_ns, frame.parent), child_frame_id=frame.child
+    )
     message.transform.translation = _vector(*frame.translation)
     half = frame.angle / 2.0
     message.transform.rotation = Quaternion(z=math.sin(half), w=math.cos(half))
@@ -49,7 +51,7 @@ def transform(frame: drawing.Transform, stamp_ns: int) -> TransformStamped:
 
 
 def _marker(shape: drawing.Shape, stamp_ns: int) -> Marker:
-    marker = Marker(header=header(stamp_ns), ns=shape.name, id=0, action=Marker.ADD)
+    marker = Marker(header=make_header(stamp_ns), ns=shape.name, id=0, action=Marker.ADD)
     match shape:
         case drawing.Disc():
             marker.type = Marker.CYLINDER
@@ -119,7 +121,7 @@ class SceneNode(CellNode):
         self._exaggeration = self._wanted_exaggeration()
         self._layout: drawing.SceneLayout | None = None
         self._progress: drawing.SceneProgress | None = None
-        self._errors: drawing.Errors | None = None
+        self._errors: drawing.DrawnDeviations | None = None
         self._announced = False
         self._joint, self._heard = "", set[str]()
         self._state = NO_PLAN
@@ -129,7 +131,7 @@ class SceneNode(CellNode):
         self._shown: tuple[float, int | None] | None = None
         self._scene = self.create_publisher(MarkerArray, "scene", LATCHED)
         self._moving = self.create_publisher(MarkerArray, "scene_motion", LATCHED)
-        self._frames = Frames(self)
+        self._frames = FrameBroadcaster(self)
         self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED, judged=True)
         self.listen(DeviationArray, "deviations", self._take_errors, LATCHED)
         self.listen(ProbeTarget, names.PROBE_TARGET, self._take_order, EVENT)
@@ -141,11 +143,11 @@ class SceneNode(CellNode):
     def _take_plan(self, message: CalibrationPlan) -> None:
         self._layout, self._state = None, LOADING
         self.health.beat()
-        calibration = calibration_of(message)
+        calibration = calibration_from_message(message)
         self._joint = calibration.configuration.cell.joint
         topics = calibration.configuration.topics.renamed()
         self._hear_feedback(topics.get(names.JOINT_STATES, names.JOINT_STATES))
-        self._layout = drawing.layout_of(calibration)
+        self._layout = drawing.make_layout(calibration)
         self._progress = drawing.SceneProgress(self._layout)
         self._errors, self._step, self._shown, self._changed = None, None, None, True
         self._announced = False
@@ -158,7 +160,7 @@ class SceneNode(CellNode):
         ]
         angles = np.array(message.angles)
         table = np.stack([column + np.zeros(len(angles)) for column in columns], axis=1)
-        self._errors = drawing.Errors(angles, table[:, :3], table[:, 3:])
+        self._errors = drawing.DrawnDeviations(angles, table[:, :3], table[:, 3:])
         self._changed = True
 
     def _take_order(self, message: ProbeTarget) -> None:
@@ -199,10 +201,10 @@ class SceneNode(CellNode):
         if self._layout is None or self._progress is None or not self._changed:
             return
         self._changed = False
-        shapes = drawing.draw_still(
+        shapes = drawing.draw_static_shapes(
             self._layout, self._progress.states, self._errors, self._exaggeration
         )
-        self._scene.publish(markers(shapes, self.now_ns()))
+        self._scene.publish(marker_array(shapes, self.now_ns()))
         if self._errors is not None and not self._announced:
             self._announced = True
             self.get_logger().info(f"errors are drawn {self._exaggeration:g} times as large")
@@ -218,13 +220,15 @@ class SceneNode(CellNode):
             if abs(angle - before) < LEAST_TURN and self._step == step_before:
                 return
         self._shown = angle, self._step
-        self._moving.publish(markers(drawing.draw_moving(self._layout, angle, step), now_ns))
+        self._moving.publish(
+            marker_array(drawing.draw_moving_shapes(self._layout, angle, step), now_ns)
+        )
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {"tf": self._frames.published}
 
 
-class Frames:
+class FrameBroadcaster:
     """Frames on /tf and /tf_static, which no bag of the cell holds; none without tf2_msgs."""
 
     def __init__(self, node: Node) -> None:
@@ -233,7 +237,7 @@ class Frames:
             self._tf = node.create_publisher(TFMessage, "/tf", EVENT)
             self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
             now_ns = node.get_clock().now().nanoseconds
-            self._tf_static.publish(_frames_message(drawing.standing_frames(), now_ns))
+            self._tf_static.publish(_frames_message(drawing.fixed_frames(), now_ns))
 
     def publish(self, frames: Iterable[drawing.Transform], stamp_ns: int) -> None:
         """Publish frames that move."""
@@ -242,13 +246,13 @@ class Frames:
 
 
 def _frames_message(frames: Iterable[drawing.Transform], stamp_ns: int) -> Any:
-    transforms: list[TransformStamped] = [transform(frame, stamp_ns) for frame in frames]
+    transforms: list[TransformStamped] = [transform_message(frame, stamp_ns) for frame in frames]
     return TFMessage(transforms=transforms)
 
 
 def main() -> None:
     """Run the scene node."""
-    run(SceneNode)
+    run_node(SceneNode)
 
 
 if __name__ == "__main__":

@@ -28,14 +28,14 @@ from rotcal_ros.methods.continuation import Recorded
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.announced_plan import (
     PlanSubscription,
-    calibration_of,
+    calibration_from_message,
     load_method,
     read_continuation,
 )
-from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.cell_node import CellNode, wait_for_condition
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.nodes.runtime.static_frames import StaticFrames
 
 ARRIVAL_TIMEOUT_S = 10.0
@@ -92,7 +92,7 @@ class SolverNode(CellNode):
         self._values = {}
         self.health.beat()
         try:
-            self._calibration = calibration_of(message)
+            self._calibration = calibration_from_message(message)
         except RotcalError as error:
             self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
@@ -186,7 +186,7 @@ class SolverNode(CellNode):
         steps = {(self._run_number, step) for step in request.steps}
         if not steps <= self._observations.keys():  # a restarted solver may miss the first ones
             self._earlier.ask_again(self._know)
-        await until(lambda: steps <= self._observations.keys(), ARRIVAL_TIMEOUT_S)
+        await wait_for_condition(lambda: steps <= self._observations.keys(), ARRIVAL_TIMEOUT_S)
         missing = sorted(steps - self._observations.keys())
         if missing:
             raise DataError(
@@ -308,7 +308,7 @@ class EarlierObservations:
 
 def main() -> None:
     """Run the solver node."""
-    run(SolverNode)
+    run_node(SolverNode)
 
 
 if __name__ == "__main__":

@@ -19,11 +19,11 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 from rotcal_ros.nodes.check.snapshot import Finding
-from rotcal_ros.nodes.runtime.accepted_publishers import origin_of
+from rotcal_ros.nodes.runtime.accepted_publishers import message_publisher
 from rotcal_ros.nodes.runtime.cell_graph import incompatible_listeners
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, InstrumentSubscription
-from rotcal_ros.nodes.table_adapter.joint_controllers import interface_of
-from rotcal_ros.nodes.table_adapter.joint_watch import JointWatch
+from rotcal_ros.nodes.table_adapter.joint_controllers import choose_interface
+from rotcal_ros.nodes.table_adapter.joint_watch import JointMonitor
 from rotcal_ros.planning.settings import TableAdapterSettings
 
 _LISTENERS: Final = {"trajectory": "joint_trajectory", "positions": "commands"}
@@ -31,13 +31,13 @@ _GOALS: Final = "follow_joint_trajectory"
 _MOST_NAMES: Final = 12
 
 
-class TableBehindAdapter:
+class AdapterTablePreview:
     """What the adapter would receive: the feedback of the table's joint, and who publishes it."""
 
     def __init__(self, node: Node, configuration: Configuration) -> None:
         self._node, self._settings = node, configuration.table_adapter
         self._joint = configuration.cell.joint
-        self._watch = JointWatch(self._settings)
+        self._watch = JointMonitor(self._settings)
         self._tellers: Counter[str] = Counter()
         self._others: dict[str, None] = {}
         self.topic: str = node.resolve_topic_name(self._settings.feedback)
@@ -85,12 +85,12 @@ class TableBehindAdapter:
         """Yield whether a controller is there that accepts orders as the adapter sends them."""
         settings, node = self._settings, self._node
         try:
-            interface = interface_of(settings)
+            interface = choose_interface(settings)
         except ConfigurationError as error:
             yield CheckLine("table", "controller", "missing", str(error), "install control_msgs")
             return
-        there = offered(node, settings)
-        name, who = asked_for(settings, interface), there.get(interface, "")
+        there = offered_interfaces(node, settings)
+        name, who = controller_topic(settings, interface), there.get(interface, "")
         if not who:
             found = f"no node takes {interface} on {name}"
             todo = "start and activate the controller, or correct table_adapter.controller"
@@ -125,33 +125,33 @@ class TableBehindAdapter:
             if sample is None:
                 self._others |= dict.fromkeys(message.name)
                 continue
-            self._tellers[origin_of(info).publisher] += 1
+            self._tellers[message_publisher(info).publisher] += 1
             self._watch.hear(sample, time.monotonic())
 
 
-def asked_for(settings: TableAdapterSettings, interface: str) -> str:
+def controller_topic(settings: TableAdapterSettings, interface: str) -> str:
     """Return the topic or action of the controller that an interface needs."""
     return f"{settings.controller}/{_LISTENERS.get(interface, _GOALS)}"
 
 
-def offered(node: Node, settings: TableAdapterSettings) -> dict[str, str]:
+def offered_interfaces(node: Node, settings: TableAdapterSettings) -> dict[str, str]:
     """Return interface -> node, for all interfaces by which this controller takes orders."""
     found = {}
     status = node.get_publishers_info_by_topic(
-        node.resolve_topic_name(f"{asked_for(settings, 'goals')}/_action/status")
+        node.resolve_topic_name(f"{controller_topic(settings, 'goals')}/_action/status")
     )
     if status:
         found["goals"] = status[0].node_name
     for interface in _LISTENERS:
-        topic = node.resolve_topic_name(asked_for(settings, interface))
+        topic = node.resolve_topic_name(controller_topic(settings, interface))
         if listeners := node.get_subscriptions_info_by_topic(topic):
             found[interface] = listeners[0].node_name
     return found
 
 
-def brings(_settings: TableAdapterSettings) -> tuple[str, ...]:
+def provided_roles(_settings: TableAdapterSettings) -> tuple[str, ...]:
     """Return the streams that the adapter will publish, and the orders that it will obey."""
     return (names.JOINT_STATES, names.TABLE_ANGLE)
 
 
-CHECK: Final = DriverCheck(brings, ears=TableBehindAdapter)
+CHECK: Final = DriverCheck(provided_roles, ears=AdapterTablePreview)

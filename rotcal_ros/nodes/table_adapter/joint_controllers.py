@@ -16,7 +16,7 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.planning.approach import Way
+from rotcal_ros.planning.approach import JointPath
 from rotcal_ros.planning.settings import TableAdapterSettings
 
 SETPOINT_PERIOD_S: Final = 0.02
@@ -40,7 +40,7 @@ class JointController(ABC):
         """Return whether a controller receives what is sent."""
 
     @abstractmethod
-    def send(self, way: Way) -> None:
+    def send(self, way: JointPath) -> None:
         """Start the joint on a way."""
 
     @abstractmethod
@@ -62,7 +62,7 @@ class JointController(ABC):
         return ControllerReport()
 
 
-def interface_of(settings: TableAdapterSettings) -> str:
+def choose_interface(settings: TableAdapterSettings) -> str:
     """Return the interface to use: goals, trajectory or positions.
 
     Raises ConfigurationError for goals where their messages are not installed.
@@ -78,7 +78,7 @@ def interface_of(settings: TableAdapterSettings) -> str:
     return interface
 
 
-def trajectory_message(joint: str, way: Way) -> JointTrajectory:
+def trajectory_message(joint: str, way: JointPath) -> JointTrajectory:
     """Return a way as a trajectory that begins when it arrives: its stamp is zero."""
     points = [
         JointTrajectoryPoint(positions=[angle], velocities=[0.0], time_from_start=_lasting(at))
@@ -100,7 +100,7 @@ class TrajectoryController(JointController):
         """Return whether a controller receives what is sent."""
         return bool(self._publisher.get_subscription_count())
 
-    def send(self, way: Way) -> None:
+    def send(self, way: JointPath) -> None:
         """Publish it."""
         self._publisher.publish(trajectory_message(self._joint, way))
 
@@ -114,7 +114,7 @@ class PositionController(JointController):
 
     def __init__(self, node: CellNode, controller: str, joint: str) -> None:
         self._publisher = node.create_publisher(Float64MultiArray, f"{controller}/commands", EVENT)
-        self._way: Way | None = None
+        self._way: JointPath | None = None
         self._elapsed_s = self._stepped_s = 0.0
         node.every(SETPOINT_PERIOD_S, self._step)
 
@@ -126,7 +126,7 @@ class PositionController(JointController):
         """Return where the joint was sent last: a new way begins there, not where it lags."""
         return None if self._way is None else self._way.at(self._elapsed_s)
 
-    def send(self, way: Way) -> None:
+    def send(self, way: JointPath) -> None:
         """Begin to go that way."""
         self._way, self._elapsed_s, self._stepped_s = way, 0.0, time.monotonic()
 

@@ -17,7 +17,7 @@ from rotcal_ros.nodes.table_adapter.joint_controllers import (
     JointController,
     trajectory_message,
 )
-from rotcal_ros.planning.approach import Way
+from rotcal_ros.planning.approach import JointPath
 
 ERRORS: Final = {
     -1: "invalid goal",
@@ -40,7 +40,7 @@ class GoalController(JointController):
         self._client = ActionClient(
             node, FollowJointTrajectory, f"{controller}/follow_joint_trajectory"
         )
-        self._latest: Way | None = None
+        self._latest: JointPath | None = None
         self._handle: Any = None
         self._report = ControllerReport()
 
@@ -48,7 +48,7 @@ class GoalController(JointController):
         """Return whether the action is offered."""
         return bool(self._client.server_is_ready())
 
-    def send(self, way: Way) -> None:
+    def send(self, way: JointPath) -> None:
         """Send a goal; the controller gives up the previous one by itself."""
         self._latest, self._handle, self._report = way, None, ControllerReport()
         goal = FollowJointTrajectory.Goal(trajectory=trajectory_message(self._joint, way))
@@ -66,7 +66,7 @@ class GoalController(JointController):
         """Return what the controller says of the latest goal."""
         return self._report
 
-    def _answered(self, way: Way, answer: Any) -> None:
+    def _answered(self, way: JointPath, answer: Any) -> None:
         """Hear whether a goal was accepted."""
         handle = answer.result()
         if self._latest is None and handle.accepted:
@@ -79,7 +79,7 @@ class GoalController(JointController):
         self._handle = handle
         handle.get_result_async().add_done_callback(self._guarded(partial(self._ended, way)))
 
-    def _ended(self, way: Way, ending: Any) -> None:
+    def _ended(self, way: JointPath, ending: Any) -> None:
         """Hear what became of a goal; one that a newer one replaced does not matter."""
         ended = ending.result()
         if way is not self._latest:

@@ -7,9 +7,9 @@ from math import isfinite, isnan, nan
 
 from rotcal_ros.foundation.observations import TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
-from rotcal_ros.planning.approach import Way
+from rotcal_ros.planning.approach import JointPath
 from rotcal_ros.planning.settings import TableAdapterSettings
-from rotcal_ros.planning.table_feedback import TableSpeed, in_degrees
+from rotcal_ros.planning.table_feedback import TableSpeed, looks_like_degrees
 
 _LATE = 1.5
 """A way that takes this multiple of its duration is called late."""
@@ -22,20 +22,20 @@ _FAR = 2 * TURN
 
 
 @dataclass
-class ObeyedOrder:
+class ActiveOrder:
     """An order under way: how far its joint has come. Times are monotonic, in seconds.
 
     ``over``: it has arrived, or was left; what the joint does after that does not concern this
     order.
     """
 
-    way: Way
+    way: JointPath
     begun_s: float
     moved: bool = False
     over: bool = False
 
 
-class JointWatch:
+class JointMonitor:
     """Follows the joint by its feedback; decides what the cell hears, and finds what is wrong.
 
     ``velocity`` (rad/s) is the latest, NaN where it is not known.
@@ -48,7 +48,7 @@ class JointWatch:
         self._moved_to = self.velocity = nan
         self._speed = TableSpeed(_SPEED_S)
         self.latest: TableSample | None = None
-        self.order: ObeyedOrder | None = None
+        self.order: ActiveOrder | None = None
 
     def doubt(self) -> str | None:
         """Return why nothing may move yet, in one sentence; None if it may."""
@@ -74,9 +74,9 @@ class JointWatch:
         here = self.here(now_s)
         return None if here is None else (here, self.velocity)
 
-    def begin(self, way: Way, now_s: float) -> None:
+    def begin(self, way: JointPath, now_s: float) -> None:
         """Note an order that was just sent."""
-        self.order, self._moved_s = ObeyedOrder(way, now_s), now_s
+        self.order, self._moved_s = ActiveOrder(way, now_s), now_s
 
     def leave(self) -> None:
         """Let the order be over."""
@@ -108,7 +108,7 @@ class JointWatch:
             self.leave()
         return feedback if begun else replace(sample, velocity=nan)
 
-    def _has_stopped(self, order: ObeyedOrder, now_s: float) -> bool:
+    def _has_stopped(self, order: ActiveOrder, now_s: float) -> bool:
         late_s = now_s - order.begun_s - _LATE * order.way.times_s[-1]
         return min(late_s, now_s - self._moved_s) > self._settings.silence_s
 
@@ -117,9 +117,9 @@ class JointWatch:
         order = self.order
         if order is None:
             return True
-        order.moved = order.moved or (
-            abs(angle - order.way.start) > self._tolerance or not self._must_move(order.way)
-        )
+        start = order.way.start
+        has_to_move = any(abs(stop - start) > self._tolerance for stop in order.way.angles)
+        order.moved = order.moved or not has_to_move or abs(angle - start) > self._tolerance
         return order.moved
 
     def arrived(self) -> bool:
@@ -146,7 +146,7 @@ class JointWatch:
             return None
         goal, angle = order.way.goal, self.latest.angle
         still_s = now_s - self._moved_s
-        if still_s > _REST_S and in_degrees(angle, goal):
+        if still_s > _REST_S and looks_like_degrees(angle, goal):
             return (
                 f"the table reports {angle:.6g} where {goal:.6g} rad were ordered: its feedback "
                 "is in degrees, joint_states must be in rad"
@@ -165,11 +165,8 @@ class JointWatch:
             )
         return None
 
-    def _off(self, way: Way) -> float:
+    def _off(self, way: JointPath) -> float:
         if self.latest is None or not isfinite(self.latest.angle):
             return float("inf")
         off = self.latest.angle - way.goal
         return abs(off - TURN * round(off / TURN))
-
-    def _must_move(self, way: Way) -> bool:
-        return any(abs(angle - way.start) > self._tolerance for angle in way.angles)

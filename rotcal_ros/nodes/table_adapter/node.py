@@ -20,21 +20,21 @@ from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.beat_values import COMPLAINT, show
+from rotcal_ros.nodes.runtime.beat_values import COMPLAINT, set_warning
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, InstrumentSubscription
 from rotcal_ros.nodes.table_adapter.joint_controllers import (
     JointController,
     PositionController,
     TrajectoryController,
-    interface_of,
+    choose_interface,
 )
-from rotcal_ros.nodes.table_adapter.joint_watch import JointWatch
-from rotcal_ros.planning.approach import require_rest, way_to, way_to_rest
+from rotcal_ros.nodes.table_adapter.joint_watch import JointMonitor
+from rotcal_ros.planning.approach import path_to, require_rest, stopping_path
 from rotcal_ros.planning.settings import CellSettings, SafetySettings, TableAdapterSettings
 
 LOOK_PERIOD_S: Final = 0.2
@@ -57,7 +57,7 @@ class TableAdapter(CellNode):
                 "table_adapter: cell.joint is not set; name the joint of the table, as in "
                 f"{self._settings.feedback}"
             )
-        self._watch = JointWatch(self._settings)
+        self._watch = JointMonitor(self._settings)
         self._controller = _joint_controller(self, self._settings, self._joint)
         self._stop = EmergencyStop(
             self, self.settings("safety", SafetySettings), "the table is held", self._halt
@@ -104,7 +104,7 @@ class TableAdapter(CellNode):
             how = f"its position is not known; {self._controller.halt()}"
             self.get_logger().error(f"the table cannot be held: {how}")
             return
-        way = way_to_rest(*sent, self._settings)
+        way = stopping_path(*sent, self._settings)
         self._controller.send(way)
         self._watch.begin(way, now_s)
 
@@ -118,7 +118,7 @@ class TableAdapter(CellNode):
         begin, _ = self._controller.setpoint() or (here, 0.0)
         try:
             require_rest(order.turn_speed)
-            way = way_to(order.angle, Approach(order.approach), begin, self._settings)
+            way = path_to(order.angle, Approach(order.approach), begin, self._settings)
         except DataError as error:
             self._refused = str(error)
             return
@@ -156,7 +156,7 @@ class TableAdapter(CellNode):
         elif self._watch.arrived():
             self._kind = None
         if text or self._held or self._watch.arrived():
-            show(self.health, COMPLAINT, text)
+            set_warning(self.health, COMPLAINT, text)
 
     def _wrong(self) -> str | None:
         """Return what is wrong with the table; None: nothing, or it was stopped."""
@@ -202,8 +202,8 @@ class TableAdapter(CellNode):
 def _joint_controller(
     node: CellNode, settings: TableAdapterSettings, joint: str
 ) -> JointController:
-    """Return the controller that the settings name; ConfigurationError as :func:`interface_of`."""
-    interface = interface_of(settings)
+    """Return the controller that the settings name; errors as :func:`choose_interface`."""
+    interface = choose_interface(settings)
     if interface == "goals":
         from rotcal_ros.nodes.table_adapter.joint_goals import GoalController
 
@@ -214,7 +214,7 @@ def _joint_controller(
 
 def main() -> None:
     """Run the adapter."""
-    run(TableAdapter)
+    run_node(TableAdapter)
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Titled:
+class TitledTable:
     """A table with its title; ``key`` distinguishes it where the tables of a verb are joined."""
 
     columns: Sequence[Column]
@@ -96,19 +96,19 @@ class Titled:
     key: str = ""
 
 
-def for_people() -> bool:
+def is_terminal() -> bool:
     """Return whether standard output is a terminal."""
     return sys.stdout.isatty()
 
 
 def print_table(columns: Sequence[Column], title: str = "") -> None:
     """Print one table."""
-    print_tables([Titled(columns, title)])
+    print_tables([TitledTable(columns, title)])
 
 
-def print_tables(tables: Sequence[Titled], key: str = "") -> None:
+def print_tables(tables: Sequence[TitledTable], key: str = "") -> None:
     """Print tables of the same columns; in CSV they are one, whose first column is ``key``."""
-    if for_people():
+    if is_terminal():
         for table in tables:
             _print_stacked(table)
         return
@@ -124,7 +124,7 @@ def print_tables(tables: Sequence[Titled], key: str = "") -> None:
 
 def print_words(*texts: str, colour: str = "") -> None:
     """Print lines for people, wrapped at a terminal; on standard error in a pipe."""
-    if not for_people():
+    if not is_terminal():
         tell(*texts, colour=colour, err=True)
         return
     width = shutil.get_terminal_size().columns
@@ -133,7 +133,7 @@ def print_words(*texts: str, colour: str = "") -> None:
         tell(*lines or [""], colour=colour)
 
 
-def stacked(columns: Sequence[Column], width: int) -> list[list[Column]]:
+def split_columns(columns: Sequence[Column], width: int) -> list[list[Column]]:
     """Return ``columns`` in groups that fit into ``width`` characters, each with the first one."""
     key, *others = columns
     least = BORDER + key.least_width() + PADDING
@@ -149,7 +149,7 @@ def stacked(columns: Sequence[Column], width: int) -> list[list[Column]]:
     return groups or [[key]]
 
 
-def _print_stacked(table: Titled) -> None:
+def _print_stacked(table: TitledTable) -> None:
     # rich takes longer to load than a short verb takes to run.
     from rich.console import Console
     from rich.table import Table
@@ -161,7 +161,7 @@ def _print_stacked(table: Titled) -> None:
     )
     if table.title:
         print_words(table.title)
-    for group in stacked(table.columns, width):
+    for group in split_columns(table.columns, width):
         drawn = Table()
         for column in group:
             text = column.is_text()

@@ -26,7 +26,7 @@ def say(text: str) -> None:
     sys.stderr.write(f"{printable(text)}\n")
 
 
-def understood(reading: Reading) -> None:
+def print_reading(reading: Reading) -> None:
     """Say in one line how a table of another form than ours was read."""
     if line := reading.line():
         say(f"read: {line}")

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.columns import (
     Column,
-    Titled,
+    TitledTable,
     print_table,
     print_tables,
     print_words,
@@ -60,7 +60,7 @@ def print_result(result: Result) -> None:
         print_words(mark.line, colour=mark.colour)
 
 
-def say_groups(groups: Sequence[ComponentGroup]) -> None:
+def print_group_agreement(groups: Sequence[ComponentGroup]) -> None:
     """Print for each group of components how well the inputs agree, and their weights."""
     print_words(
         *(
@@ -88,7 +88,7 @@ def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], compone
             Column("remarks", remarks),
         ]
         pair = f"{first} - {second}"
-        tables.append(Titled(columns, f"{component}: {pair}, aligned", pair))
+        tables.append(TitledTable(columns, f"{component}: {pair}, aligned", pair))
     print_tables(tables, "pair")
     for (first, second), c in comparisons.items():
         print_words(
@@ -187,7 +187,7 @@ def print_uncertainty(both: PropagatedResult) -> None:
             "to": part.high,
         }
         tables.append(
-            Titled(
+            TitledTable(
                 [
                     _angles(both.result.angles),
                     *(Column(head, v / unit, to=to) for head, v in columns.items()),

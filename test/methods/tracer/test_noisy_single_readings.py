@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.measurements import read_measurements
 
@@ -27,7 +27,7 @@ def lengths(tmp_path_factory):
     configuration = configured(3e-8)
     plan = prepare(configuration).plan
     mount = configuration.simulation.tracer.mount_m
-    stations = on_table(mount, np.array(plan.table_angles))
+    stations = positions_on_table(mount, np.array(plan.table_angles))
     targets = np.array(plan.targets) + TARGETS * rng.standard_normal((len(plan.targets), 3))
     path = tmp_path_factory.mktemp("readings") / "lengths.csv"
     rows = [

@@ -11,7 +11,7 @@ from chances import LONG
 from tracer_scenes import counted_from_first
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 from rotcal_ros.methods.tracer.solver import TracerProblem, adjust, solve
 from rotcal_ros.methods.tracer.solver.prediction import predicted
@@ -23,7 +23,7 @@ sys.modules[SPEC.name] = simulated
 SPEC.loader.exec_module(simulated)
 
 ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))
-STATIONS = on_table((0.0569, -0.0318, 0.1225), ANGLES, (1e-4, -2e-4))
+STATIONS = positions_on_table((0.0569, -0.0318, 0.1225), ANGLES, (1e-4, -2e-4))
 ONE_ZERO, ALONG, PER_STATION, ROSETTE = simulated.CASES
 
 

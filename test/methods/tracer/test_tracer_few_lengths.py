@@ -8,7 +8,7 @@ from chances import LONG, most
 from coded import coded
 
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.problem import TOO_FEW, station_minimum
@@ -21,7 +21,7 @@ DEVIATION = np.radians(np.sin(ANGLES) / 3600.0)
 
 def measured(each, one_zero, turned=1.0, targets=TARGETS, **options):
     """Lengths without noise of ``each`` targets per station, from one zero or one each."""
-    stations = on_table((0.06, 0.03, 0.1), turned * (ANGLES + DEVIATION), (0.01, 0.02))
+    stations = positions_on_table((0.06, 0.03, 0.1), turned * (ANGLES + DEVIATION), (0.01, 0.02))
     each = np.broadcast_to(each, 9)
     position = np.repeat(np.arange(9), each)
     rng = np.random.default_rng(7)
@@ -97,7 +97,8 @@ def test_lengths_to_one_place_do_not_place_a_station():
     good = measured(6, one_zero=True, targets=targets)
     kept = good.position != 4
     near = np.linalg.norm(
-        on_table((0.06, 0.03, 0.1), ANGLES[4:5] + DEVIATION[4], (0.01, 0.02)) - TARGETS[12]
+        positions_on_table((0.06, 0.03, 0.1), ANGLES[4:5] + DEVIATION[4], (0.01, 0.02))
+        - TARGETS[12]
     )
     problem = replace(
         good,

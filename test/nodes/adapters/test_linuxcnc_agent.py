@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.nodes.adapters.linuxcnc_agent import LinuxCncMachine, obey
+from rotcal_ros.nodes.adapters.linuxcnc_agent import LinuxCncMachine, execute_orders
 
 
 class Program:
@@ -127,7 +127,9 @@ def test_an_order_counts_as_open_until_it_is_carried_out_or_has_failed():
             raise RuntimeError("no")
 
     orders, errors = queue.Queue(), []
-    Thread(target=obey, args=(SimpleNamespace(move=move), orders, errors), daemon=True).start()
+    Thread(
+        target=execute_orders, args=(SimpleNamespace(move=move), orders, errors), daemon=True
+    ).start()
     for angle in (10.0, 100.0):
         orders.put({"angle_deg": angle})
     assert begun.wait(10.0)

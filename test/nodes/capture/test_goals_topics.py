@@ -12,7 +12,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.nodes.capture import instrument_streams
 from rotcal_ros.nodes.capture.instrument_streams import InstrumentTopics
-from rotcal_ros.nodes.runtime.beat_values import REFUSED, TOPICS, at_odds
+from rotcal_ros.nodes.runtime.beat_values import REFUSED, TOPICS, mismatched_topics
 
 
 def heard(own, goal):
@@ -86,5 +86,5 @@ def test_the_time_of_sending_is_refused_under_a_simulated_clock(
 
 
 def test_names_that_the_planner_and_a_node_do_not_share_are_told():
-    odd = list(at_odds(lambda _: {}, "/cell", lambda role: f"/other/{role}"))
+    odd = list(mismatched_topics(lambda _: {}, "/cell", lambda role: f"/other/{role}"))
     assert odd[0].startswith("topic plan is /other/plan for the planner and /cell/plan for node")

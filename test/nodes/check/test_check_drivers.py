@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.nodes.check.snapshot import brought, driver_lines
+from rotcal_ros.nodes.check.snapshot import driver_lines, roles_of_absent_drivers
 from rotcal_ros.nodes.instrument_driver import driver as plugin_driver
 from rotcal_ros.nodes.instrument_driver.instrument import Tracer, Tracker
 
@@ -20,7 +20,7 @@ PLUGIN = ("instrument.plugin=acme", "instrument.address=10.0.0.5:700")
 
 def heard(configuration, *nodes):
     found = SimpleNamespace(configuration=configuration, nodes=frozenset(nodes), strangers=())
-    found.brought = brought(found)
+    found.brought = roles_of_absent_drivers(found)
     return found
 
 
@@ -43,11 +43,11 @@ def instrument(*kinds):
     ],
 )  # fmt: skip
 def test_a_plug_in_is_made_and_not_connected(monkeypatch, kinds, words, roles):
-    monkeypatch.setattr(plugin_driver, "instrument_of", lambda _: instrument(*kinds))
+    monkeypatch.setattr(plugin_driver, "make_instrument", lambda _: instrument(*kinds))
     cell = heard(changed(TRACER, PLUGIN))
     (line,) = driver_lines(cell)
     assert (line.state, line.found) == ("open", f"plug-in acme, 10.0.0.5:700: {words}")
-    assert brought(cell) == {key: ["instrument_driver"] for key in roles}
+    assert roles_of_absent_drivers(cell) == {key: ["instrument_driver"] for key in roles}
 
 
 def test_a_plug_in_that_is_not_installed_is_missing():
@@ -55,9 +55,9 @@ def test_a_plug_in_that_is_not_installed_is_missing():
     (line,) = driver_lines(cell)
     assert line.state == "missing"
     assert "acme" in line.found
-    assert brought(cell) == {}
+    assert roles_of_absent_drivers(cell) == {}
 
 
 def test_without_drivers_there_is_nothing_to_say():
     assert list(driver_lines(heard(TRACER))) == []
-    assert brought(heard(TRACER)) == {}
+    assert roles_of_absent_drivers(heard(TRACER)) == {}

@@ -11,10 +11,10 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.check import cell_check
 from rotcal_ros.nodes.check.cell_check import _as_it_says, _order_lines, clock_line
-from rotcal_ros.nodes.check.snapshot import CellSnapshot, HeaderWatch
+from rotcal_ros.nodes.check.snapshot import CellSnapshot, HeaderMonitor
 from rotcal_ros.nodes.runtime import message_types
 from rotcal_ros.nodes.runtime.cell_graph import PLANNERS, CellGraph
-from rotcal_ros.nodes.runtime.message_types import another_version
+from rotcal_ros.nodes.runtime.message_types import version_mismatch
 
 PLAIN = read_configuration(Path(__file__).parents[3] / "config" / "tracer.yaml")
 ADAPTED = changed(PLAIN, ["table_adapter.controller=/drive"])
@@ -43,7 +43,7 @@ def seen(configuration, machines=(), heard=None, compared=(), type_hash=None, **
         get_subscriptions_info_by_topic=lambda _: own, get_publishers_info_by_topic=lambda _: [],
         get_node_names_and_namespaces=lambda: [(name, "/cell") for name in machines],
     )  # fmt: skip
-    watches = {role: HeaderWatch(count=count) for role, count in (heard or {}).items()}
+    watches = {role: HeaderMonitor(count=count) for role, count in (heard or {}).items()}
     calibration = SimpleNamespace(topics=TOPICS)
     return CellSnapshot(
         CellGraph(node), values, watches, configuration, calibration, compared, None
@@ -83,8 +83,8 @@ def test_a_machine_with_other_messages_gets_no_tick():
 
 @pytest.mark.parametrize("unknown", ["INVALID", "", HERE, OTHER])
 def test_a_hash_that_is_unknown_or_the_same_is_no_other_version(unknown):
-    assert (another_version(ORDER, unknown) is None) == (unknown != OTHER)
-    assert another_version("foreign_msgs/msg/Length", OTHER) is None
+    assert (version_mismatch(ORDER, unknown) is None) == (unknown != OTHER)
+    assert version_mismatch("foreign_msgs/msg/Length", OTHER) is None
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,10 @@ from rotcal_ros.foundation.observations import (
 )
 from rotcal_ros.nodes.instrument_driver import driver
 from rotcal_ros.nodes.instrument_driver.driver import (
+    DriverCallbacks,
     InstrumentDriver,
-    Listeners,
-    TableRest,
-    instrument_of,
+    TableRestDetector,
+    make_instrument,
 )
 from rotcal_ros.nodes.instrument_driver.instrument import (
     InstrumentError,
@@ -72,7 +72,9 @@ class Heard:
 
     def __init__(self, instrument, settings, why_not=lambda _: None):
         self.lengths, self.places, self.complaints = [], [], []
-        listeners = Listeners(self.lengths.append, self.places.append, self.complaints.append)
+        listeners = DriverCallbacks(
+            self.lengths.append, self.places.append, self.complaints.append
+        )
         self.driver = InstrumentDriver(instrument, settings, listeners, why_not, now_ns=lambda: 7)
         self.driver.begin()
 
@@ -167,7 +169,7 @@ class Finder(Tracker):
 
 
 def test_an_order_is_measured_when_the_table_rests_and_echoed():
-    rest = TableRest(tolerance_arcsec=20.0, speed_deg_s=0.02, settle_s=0.5)
+    rest = TableRestDetector(tolerance_arcsec=20.0, speed_deg_s=0.02, settle_s=0.5)
     heard = Heard(Finder(), settings("here"), rest.why_not)
     heard.driver.order(ORDER)
     assert rest.why_not(ORDER) == "no feedback of the table has come"
@@ -314,11 +316,11 @@ def test_a_plug_in_that_fails_while_it_is_made_is_named(monkeypatch):
 
     monkeypatch.setattr(driver, "load", lambda *_: make)
     with pytest.raises(ConfigurationError, match=r"acme cannot be made: KeyError: 'here'"):
-        instrument_of(InstrumentSettings(plugin="acme", address="here"))
+        make_instrument(InstrumentSettings(plugin="acme", address="here"))
 
 
 def test_settings_without_a_plug_in_or_with_half_an_option_are_refused():
     with pytest.raises(ConfigurationError, match=r"unknown instrument \(instrument.plugin\) 'x'"):
-        instrument_of(InstrumentSettings(plugin="x"))
+        make_instrument(InstrumentSettings(plugin="x"))
     with pytest.raises(ConfigurationError, match="'rate' is not name=value"):
         InstrumentSettings(options=("rate",)).by_name()

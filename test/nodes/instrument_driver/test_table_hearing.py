@@ -36,7 +36,7 @@ class Finder(Tracker):
 
 @pytest.fixture
 def table(monkeypatch):
-    monkeypatch.setattr(instrument_driver, "instrument_of", lambda _: Finder())
+    monkeypatch.setattr(instrument_driver, "make_instrument", lambda _: Finder())
     given = [word for name, value in GIVEN.items() for word in ("-p", f"{name}:={value}")]
     rclpy.init(args=["--ros-args", "-r", "__ns:=/cell", *given])
     node = instrument_driver.InstrumentDriverNode()

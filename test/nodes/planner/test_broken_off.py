@@ -163,7 +163,7 @@ def test_a_stop_in_a_later_preflight_is_told_as_what_it_is(monkeypatch, error, c
     async def be_ready(*_):
         raise error
 
-    monkeypatch.setattr(node, "be_ready", be_ready)
+    monkeypatch.setattr(node, "wait_until_ready", be_ready)
     run = goal(Bag(None))
     run._begin_anew(LOST)
     with pytest.raises(GoalError, match=text) as raised:

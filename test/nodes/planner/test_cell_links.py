@@ -84,7 +84,7 @@ def test_a_refusal_counts_for_the_run_that_it_names():
 def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
     file = Path(__file__).parents[3] / "config" / "tracer.yaml"
     calibration = prepare(changed(read_configuration(file), [f"safety.emergency_stop={STOP}"]))
-    monkeypatch.setattr(node, "names_at_odds", lambda *_: [])
+    monkeypatch.setattr(node, "mismatched_topic_lines", lambda *_: [])
     asked = SimpleNamespace(
         node=None,
         health=SimpleNamespace(values=lambda _: {}),

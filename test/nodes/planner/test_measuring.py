@@ -13,7 +13,7 @@ from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.nodes.planner.cell_links import CellLinks
-from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, HaltedError
+from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, StepInterruptedError
 from rotcal_ros.nodes.planner.measuring import GoalMeasurement
 from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.planning.settings import PlannerSettings
@@ -144,7 +144,7 @@ def turned(failing=(), stopped_before=None):
         if len(cell.ordered) == stops[0]:
             stops.clear()
             stops.append(None)
-            raise HaltedError("emergency stop")
+            raise StepInterruptedError("emergency stop")
 
     async def resumed(*_):
         pass

@@ -13,7 +13,12 @@ from rotcal_ros.capture.instruments.plausibility import reading_scatter
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
+from rotcal_ros.nodes.planner.preflight import (
+    expected_air_topics,
+    instrument_faults,
+    instrument_warnings,
+    missing_air_consequence,
+)
 
 CONFIG = Path(__file__).parents[3] / "config"
 TRACER = read_configuration(CONFIG / "tracer_paper.yaml")
@@ -32,31 +37,31 @@ def configured(*changes):
 
 
 def test_good_instruments_have_no_faults():
-    assert faults(GOOD, TRACER) == doubts(GOOD, TRACER) == []
-    assert faults({}, TRACER) == doubts({}, TRACER) == []
+    assert instrument_faults(GOOD, TRACER) == instrument_warnings(GOOD, TRACER) == []
+    assert instrument_faults({}, TRACER) == instrument_warnings({}, TRACER) == []
 
 
 def test_a_joint_that_is_not_there_is_told_with_those_that_are():
     values = {**GOOD, "joint.spindle": "30.0 0.0"}
-    (fault,) = faults(values, configured("cell.joint=C"))
+    (fault,) = instrument_faults(values, configured("cell.joint=C"))
     assert "no joint 'C' (cell.joint), it has table, spindle" in fault
-    assert faults(values, configured("cell.joint=spindle")) == []
+    assert instrument_faults(values, configured("cell.joint=spindle")) == []
 
 
 def test_where_there_are_more_joints_than_are_told_one_that_is_not_told_may_be_there():
     for told in (31, 32):
         values = {f"joint.axis_{k}": "0.5 0.0" for k in range(told)}
-        assert len(faults(values, configured("cell.joint=C"))) == (told == 31)
-        assert doubts(values, configured("cell.joint=C")) == []
+        assert len(instrument_faults(values, configured("cell.joint=C"))) == (told == 31)
+        assert instrument_warnings(values, configured("cell.joint=C")) == []
 
 
 def test_a_joint_without_velocity_is_read_by_its_angles():
     values = {"joint.x": f"0.5 {nan}", "joint.table": "0.5 0.0"}
-    assert faults(values, configured("cell.joint=''")) == []  # the first one
+    assert instrument_faults(values, configured("cell.joint=''")) == []  # the first one
 
 
 def test_lengths_in_millimetres_are_a_fault():
-    (fault,) = faults({**GOOD, "now.tracer_length": "350.000000000 OK"}, TRACER)
+    (fault,) = instrument_faults({**GOOD, "now.tracer_length": "350.000000000 OK"}, TRACER)
     assert "says 350 m, plausible are 20 m" in fault
 
 
@@ -73,15 +78,15 @@ def test_lengths_in_millimetres_are_a_fault():
 )
 def test_what_no_window_can_come_of_is_a_fault(values, words):
     patient = configured("capture.window_samples=200", "capture.step_timeout_s=30.0")
-    found = faults(GOOD | values, patient, prepare(patient).plan)
+    found = instrument_faults(GOOD | values, patient, prepare(patient).plan)
     assert words in "; ".join(found)
     asked = configured("topics.length_single_shot=true", "capture.window_samples=1")
     if values.get("rate_hz.tracer_length", "0") != "0":  # its silence is no loss
-        assert faults(GOOD | values, asked) == []
+        assert instrument_faults(GOOD | values, asked) == []
 
 
 def test_clocks_that_differ_are_a_fault():
-    assert faults({**GOOD, "clock_offset": "4.0 s behind"}, TRACER) == ["4.0 s behind"]
+    assert instrument_faults({**GOOD, "clock_offset": "4.0 s behind"}, TRACER) == ["4.0 s behind"]
 
 
 @pytest.mark.parametrize(
@@ -94,30 +99,30 @@ def test_clocks_that_differ_are_a_fault():
     ],
 )
 def test_an_implausible_unit_is_a_doubt(value, words):
-    assert faults(GOOD | value, TRACER) == []
-    (doubt,) = doubts(GOOD | value, TRACER)
+    assert instrument_faults(GOOD | value, TRACER) == []
+    (doubt,) = instrument_warnings(GOOD | value, TRACER)
     assert words in doubt
 
 
 def test_the_air_that_is_expected_and_that_without_which_nothing_is_measured():
-    assert expected_air(prepare(TRACER)) == ([], ["temperature"])
+    assert expected_air_topics(prepare(TRACER)) == ([], ["temperature"])
     none = prepare(configured("capture.temperature_expected=false"))
-    assert expected_air(none) == ([], [])
-    text = without_air("temperature", "/cell/temperature", TRACER)
+    assert expected_air_topics(none) == ([], [])
+    text = missing_air_consequence("temperature", "/cell/temperature", TRACER)
     assert "no node publishes /cell/temperature: every observation waits for it for" in text
     assert "capture.temperature_expected: false" in text
 
 
 def test_points_of_another_frame_than_the_machine_s_are_a_doubt():
     named = GOOD | {"frame.probe_point": "base"}
-    (doubt,) = doubts(named, TRACER)
+    (doubt,) = instrument_warnings(named, TRACER)
     assert "probe_point is stamped with the frame base" in doubt
     assert "(cell.machine_frame)" in doubt
-    assert doubts(named, configured("cell.machine_frame=base")) == []
+    assert instrument_warnings(named, configured("cell.machine_frame=base")) == []
     for good in ("", "machine", "/machine"):
-        assert doubts(GOOD | {"frame.probe_point": good}, TRACER) == []
+        assert instrument_warnings(GOOD | {"frame.probe_point": good}, TRACER) == []
     mirror = read_configuration(CONFIG / "plane_mirror_demo.yaml")
-    assert doubts({"frame.probe_point": "tracker"}, mirror) == []  # a tracker's own
+    assert instrument_warnings({"frame.probe_point": "tracker"}, mirror) == []  # a tracker's own
 
 
 def test_the_points_of_a_tracker_are_in_its_own_frame_and_no_unit_is_read_from_them():
@@ -125,14 +130,14 @@ def test_the_points_of_a_tracker_are_in_its_own_frame_and_no_unit_is_read_from_t
     plan = prepare(mirror).plan
     far = max(abs(x) for step in plan.steps for x in step.position)
     values = {"now.probe_point": f"{1000.0 * max(far, 1.0)} 0.0 0.0"}
-    assert faults(values, mirror, plan) == []
+    assert instrument_faults(values, mirror, plan) == []
 
 
 def test_readings_are_no_points_of_the_machine():
     """An autocollimator's own frame and small numbers say nothing of the plan's places."""
     reads = CaptureRules({PointKind.READING: decide_by_points(mean_point)})
     angles = replace(TRACER, method=replace(TRACER.method, capture=reads))
-    assert doubts(GOOD | {"frame.probe_point": "autocollimator"}, angles) == []
+    assert instrument_warnings(GOOD | {"frame.probe_point": "autocollimator"}, angles) == []
 
 
 @pytest.mark.parametrize(
@@ -152,7 +157,7 @@ def test_the_unit_and_the_rate_of_lengths_show_without_a_motion(length, scatter,
         **GOOD, "now.tracer_length": f"{length} OK", "scatter_m.tracer_length": f"{scatter}",
         "rate_hz.tracer_length": f"{rate}",
     }  # fmt: skip
-    found = doubts(values, TRACER, prepare(TRACER))
+    found = instrument_warnings(values, TRACER, prepare(TRACER))
     assert (found == []) == (words is None)
     assert words is None or any(words in doubt for doubt in found), found
 

@@ -9,8 +9,8 @@ pytest.importorskip("rotcal_msgs")
 
 from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes.planner.cell_links import Pauses
-from rotcal_ros.nodes.planner.measuring import require_free
+from rotcal_ros.nodes.planner.cell_links import GoalPauses
+from rotcal_ros.nodes.planner.measuring import require_resumable
 
 BETWEEN = "not resumed: an emergency stop came in between: look, then resume again"
 
@@ -31,7 +31,7 @@ def waiting():
         create_publisher=lambda *_: None,
         offer=lambda _kind, name, work: offered.update({name: work}),
     )
-    pauses = Pauses(node, lambda: require_free(watch), lambda: "idle")
+    pauses = GoalPauses(node, lambda: require_resumable(watch), lambda: "idle")
     health = SimpleNamespace(present=list)
     watch = SimpleNamespace(
         stop=stop, pauses=pauses, links=SimpleNamespace(health=health), silent_streams=dict

@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.nodes.player.node import Player, ReplayGuard
+from rotcal_ros.nodes.player.node import Player, TopicConflictGuard
 
 NAMELESS = "_NODE_NAME_UNKNOWN_"
 TOPICS = [f"/cell/{role}" for role in (names.TABLE_ANGLE, names.PROBE_TARGET, "joint_states")]
@@ -34,7 +34,7 @@ class Replay:
         )
         health = SimpleNamespace(is_calibrating=lambda: False)
         given = SimpleNamespace(everything=False, clock=False, watchers=())
-        player._guard = ReplayGuard(node, health, bag, given, self._wait)
+        player._guard = TopicConflictGuard(node, health, bag, given, self._wait)
 
     def publish(self, topic):
         self.player._publish(SimpleNamespace(topic=topic), topic)

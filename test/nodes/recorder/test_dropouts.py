@@ -12,8 +12,13 @@ from rotcal_ros.bags.dropouts import GAP, QUEUE, REPORTED, SILENCE, Dropout, los
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.nodes.recorder.bookkeeping import Silence
-from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, DropoutNotes, Messages
+from rotcal_ros.nodes.recorder.bookkeeping import SilentInterval
+from rotcal_ros.nodes.recorder.recording import (
+    BagRecording,
+    Channel,
+    DropoutWriter,
+    SerializedMessages,
+)
 
 TOPIC = "/cell/recorder/dropouts"
 SECOND = 10**9
@@ -27,7 +32,7 @@ def notes(tmp_path, monkeypatch):
     monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
     writer = BagWriter(tmp_path / "bag", WriterSettings(min_free_bytes=0))
     recording = BagRecording(writer, 30, lambda *_: None)
-    made = DropoutNotes(TOPIC)
+    made = DropoutWriter(TOPIC)
     made.begin(recording)
 
     def close(losses=()):
@@ -68,14 +73,14 @@ def test_topics_and_reasons_stay_apart_and_none_is_cut_by_a_full_queue(notes):
 
 def test_messages_that_the_queue_refuses_are_told_with_their_own_times(notes):
     made, close = notes
-    made.refused(Messages(CHANNEL, [(b"", BEGIN + 5, 0), (b"", BEGIN + 9, 0)]))
+    made.refused(SerializedMessages(CHANNEL, [(b"", BEGIN + 5, 0), (b"", BEGIN + 9, 0)]))
     assert close().dropouts == (Dropout("/cell/a", BEGIN + 5, BEGIN + 9, 2, QUEUE),)
 
 
 def test_a_silence_is_told_by_the_wall_clock(notes):
     made, close = notes
     now_s, now_ns = time.monotonic(), time.time_ns()
-    made.silences([Silence("/cell/a", now_s - 3.0, now_s - 1.0)])
+    made.silences([SilentInterval("/cell/a", now_s - 3.0, now_s - 1.0)])
     (found,) = close().dropouts
     assert found.to_ns - found.from_ns == pytest.approx(2 * SECOND, abs=0.1 * SECOND)
     assert found.to_ns == pytest.approx(now_ns - SECOND, abs=0.5 * SECOND)

@@ -11,7 +11,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.nodes.recorder import node as recorder
-from rotcal_ros.nodes.recorder.node import HeardTopic
+from rotcal_ros.nodes.recorder.node import RecordedTopic
 from rotcal_ros.nodes.recorder.recording import Channel
 
 SECOND = 1_000_000_000
@@ -19,7 +19,7 @@ SECOND = 1_000_000_000
 
 def heard(type_name, data):
     channel = Channel("/t", type_name, *("",) * (len(Channel.__dataclass_fields__) - 2))
-    return HeardTopic(channel, latest=data, sent_ns=9 * SECOND)
+    return RecordedTopic(channel, latest=data, sent_ns=9 * SECOND)
 
 
 def test_a_number_without_header_is_no_stamp():

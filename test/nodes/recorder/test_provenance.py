@@ -14,12 +14,12 @@ CONFIG = Path(__file__).parents[3] / "config"
 
 @pytest.mark.parametrize(("name", "simulated"), [("tracer", "false"), ("tracer_demo", "true")])
 def test_a_bag_says_what_was_measured_and_whether_anything_was(name, simulated):
-    from rotcal_ros.nodes.recorder.node import subject
+    from rotcal_ros.nodes.recorder.node import measured_subject
 
-    found = subject((CONFIG / f"{name}.yaml").read_text())
+    found = measured_subject((CONFIG / f"{name}.yaml").read_text())
     assert found["simulated"] == simulated
     assert "rotary table" in found["item"]
-    assert subject("no configuration") == {}
+    assert measured_subject("no configuration") == {}
 
 
 class Open:
@@ -74,7 +74,7 @@ def asked_of(monkeypatch, answer):
             await Turn()
 
     monkeypatch.setattr(recorder, "_parameters_of", answer)
-    monkeypatch.setattr(recorder, "until", until)
+    monkeypatch.setattr(recorder, "wait_for_condition", until)
     cell = Open()
     parameters = recorder.NodeParameters(cell, cell)
     return cell, parameters, parameters.ask()

@@ -7,8 +7,8 @@ import pytest
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
-from rotcal_ros.nodes.recorder.bookkeeping import Receipt
-from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, Messages
+from rotcal_ros.nodes.recorder.bookkeeping import WriteReceipt
+from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, SerializedMessages
 
 CHANNEL = Channel("/cell/a", "std_msgs/msg/Float64", "float64 data", "", "")
 TIMEOUT_S = 30.0
@@ -22,8 +22,8 @@ def verdict(folder):
     return scan.verdict()
 
 
-def message(number: int) -> Messages:
-    return Messages(CHANNEL, [(bytes(12), number, number)])
+def message(number: int) -> SerializedMessages:
+    return SerializedMessages(CHANNEL, [(bytes(12), number, number)])
 
 
 def test_a_receipt_is_given_when_the_message_before_it_is_on_disk(tmp_path):
@@ -37,12 +37,12 @@ def test_a_receipt_is_given_when_the_message_before_it_is_on_disk(tmp_path):
     recording = BagRecording(BagWriter(tmp_path / "bag"), 1000, confirm)
     recording.attach("a.txt", "text/plain", b"a")
     recording.put(message(1))
-    recording.confirm(Receipt(7, 2))
+    recording.confirm(WriteReceipt(7, 2))
     assert given.wait(load_scaled_timeout(TIMEOUT_S))
     recording.put(message(2))
     recording.close({})
     assert recording.join(load_scaled_timeout(TIMEOUT_S))
-    assert found == [(Receipt(7, 2), str(tmp_path / "bag" / "bag_0.mcap"), 1)]
+    assert found == [(WriteReceipt(7, 2), str(tmp_path / "bag" / "bag_0.mcap"), 1)]
     assert recording.messages == 2
     assert not recording.error
 
@@ -55,7 +55,7 @@ def test_what_does_not_fit_the_queue_is_lost_and_counted_in_the_bag(tmp_path):
         go_on.wait(load_scaled_timeout(TIMEOUT_S))
 
     recording = BagRecording(BagWriter(tmp_path / "bag"), 30, confirm)
-    recording.confirm(Receipt(0, 0))
+    recording.confirm(WriteReceipt(0, 0))
     assert blocked.wait(load_scaled_timeout(TIMEOUT_S))
     for number in range(5):
         recording.put(message(number))
@@ -77,7 +77,7 @@ def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path
 
     monkeypatch.setattr("os.write", refuse)
     recording.put(message(1))
-    recording.confirm(Receipt(0, 0))
+    recording.confirm(WriteReceipt(0, 0))
     recording.close({})
     assert recording.join(load_scaled_timeout(TIMEOUT_S))
     assert "the disk is full" in recording.error
@@ -95,4 +95,4 @@ def test_a_closed_recording_ends_its_thread(tmp_path):
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_the_size_of_a_batch_is_its_payload(count):
-    assert Messages(CHANNEL, [(bytes(12), 0, 0)] * count).size() == 12 * count
+    assert SerializedMessages(CHANNEL, [(bytes(12), 0, 0)] * count).size() == 12 * count

@@ -14,8 +14,8 @@ from rotcal_ros.nodes.runtime.accepted_publishers import (
     APART,
     HEARS,
     AcceptedPublishers,
-    digest,
-    origin_of,
+    accepted_publishers_hash,
+    message_publisher,
 )
 from rotcal_ros.nodes.runtime.beat_values import INTRUDER
 
@@ -77,7 +77,7 @@ def test_messages_of_somebody_else_are_split_off_named_once_and_shown():
     assert len(node.said) == 1
     assert f"{POINTS}: node second_probe publishes there too" in node.said[0]
     assert node.health.concerns[INTRUDER] == node.said[0]
-    assert accepted.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: accepted_publishers_hash(RUN)}
 
 
 def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
@@ -85,9 +85,9 @@ def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
     node.joined = 0
     assert accepted.values() == {APART: f"{SENT}, {POINTS}"}
     node.joined = 1
-    assert accepted.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: accepted_publishers_hash(RUN)}
     node.joined = 0  # who leaves later is lost, which others report
-    assert accepted.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: accepted_publishers_hash(RUN)}
     node.beat({ACCEPTED: PublisherList({POINTS: (STRAY.hex(),)}).in_a_beat()})
     assert accepted.values() == {APART: f"{SENT}, {POINTS}"}
 
@@ -97,7 +97,7 @@ def test_a_subscription_that_is_given_up_meanwhile_proves_nothing():
     node.given_up = True
     assert accepted.values() == {APART: ""}
     node.given_up = False
-    assert accepted.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: accepted_publishers_hash(RUN)}
 
 
 @pytest.mark.parametrize(
@@ -152,6 +152,6 @@ def test_somebody_who_left_before_he_could_be_named():
 
 
 def test_a_middleware_without_identities_has_numbers_at_most():
-    assert origin_of({"publisher_gid": None}).publisher == ""
-    assert origin_of({"publication_sequence_number": 7}).number == 7
-    assert origin_of(info(OURS, 3)).publisher == OURS.hex()
+    assert message_publisher({"publisher_gid": None}).publisher == ""
+    assert message_publisher({"publication_sequence_number": 7}).number == 7
+    assert message_publisher(info(OURS, 3)).publisher == OURS.hex()

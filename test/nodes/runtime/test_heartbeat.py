@@ -20,8 +20,11 @@ from rotcal_ros.nodes.runtime.conversions import node_state
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.liveness import HostProcess
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.running import Peer, default_context
-from rotcal_ros.nodes.runtime.timers_and_subscriptions import DrainedSubscription, connect
+from rotcal_ros.nodes.runtime.running import PeerNode, default_context
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
+    DrainedSubscription,
+    connect_subscriptions,
+)
 from rotcal_ros.nodes.solver.node import SolverNode
 
 pytestmark = pytest.mark.ros
@@ -30,7 +33,7 @@ pytestmark = pytest.mark.ros
 @pytest.fixture
 def heard():
     """Return a node, its executor, and what hears its beats until a condition."""
-    peer, beats = Peer("listener"), []
+    peer, beats = PeerNode("listener"), []
     peer.node.create_subscription(NodeState, "heartbeat", beats.append, 100)
     with default_context():
         node = SolverNode()
@@ -73,9 +76,9 @@ def test_the_last_beat_is_the_goodbye(heard):
 
 def test_who_does_not_hear_another_subscribes_anew():
     """As where the middleware never connects two ends: here one end is simply gone."""
-    peer = Peer("planner")
+    peer = PeerNode("planner")
     Health(peer.node, lambda: (NO_PLAN, {}))
-    other = Peer("listener")
+    other = PeerNode("listener")
     deaf = Health(other.node, None)
     made, deaf._heard = deaf._heard, SimpleNamespace(drain=lambda: None)
     deaf._heard.anew = lambda: setattr(deaf, "_heard", made)
@@ -94,7 +97,7 @@ def test_who_does_not_hear_another_subscribes_anew():
 def test_who_is_not_connected_to_the_only_publisher_subscribes_anew(monkeypatch):
     """As where the middleware never connects two ends: here the first end asks for too much."""
     monkeypatch.setattr(timers_and_subscriptions, "UNHEARD_S", 0.5)
-    source, listener, heard = Peer("instrument"), Peer("capture"), []
+    source, listener, heard = PeerNode("instrument"), PeerNode("capture"), []
     node = listener.node
     publisher = source.node.create_publisher(String, "readings", qos_profile_sensor_data)
     deaf = DrainedSubscription(node, String, "readings", EVENT, heard.extend)
@@ -105,7 +108,7 @@ def test_who_is_not_connected_to_the_only_publisher_subscribes_anew(monkeypatch)
     def hears():
         publisher.publish(String(data="a reading"))
         listener.work_until(lambda: False, 0.05)
-        connect(node)
+        connect_subscriptions(node)
         return heard
 
     wait_until(hears, "a reading is heard")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rotcal_ros.nodes.runtime.liveness import OVER_S, Liveness, Overload
+from rotcal_ros.nodes.runtime.liveness import OVER_S, Liveness, OverloadMonitor
 from rotcal_ros.planning.settings import HealthSettings
 
 TURN_S = 0.2
@@ -96,7 +96,7 @@ def test_who_said_goodbye_is_neither():
 
 
 def test_an_overload_is_one_line_at_its_begin_and_one_at_its_end():
-    overload, lines = Overload(), []
+    overload, lines = OverloadMonitor(), []
     for turn in range(3600):  # 12 minutes, in ten of which somebody is slow now and then
         now_s = TURN_S * turn
         slow = {"capture": 1.6, "solver": 2.0 + turn / 1000} if turn % 50 < 10 else {}
@@ -112,7 +112,7 @@ def test_an_overload_is_one_line_at_its_begin_and_one_at_its_end():
 
 
 def test_an_overload_says_who_is_waited_for_as_long_as_it_is():
-    overload = Overload()
+    overload = OverloadMonitor()
     overload.look({"recorder": 3.0}, 0.0, lambda: "load 9.0 on 1 core")
     assert overload.text == "waiting for recorder (3.0 s): slow, not lost; load 9.0 on 1 core"
     overload.look({}, 1.0, lambda: "")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.nodes.runtime.liveness import HostProcess, machine
+from rotcal_ros.nodes.runtime.liveness import HostProcess, host_identity
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def sleeper():
     code = "import sys; sys.stdin.read()"
     process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
     start = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[19]
-    yield process, HostProcess(machine(), process.pid, int(start))
+    yield process, HostProcess(host_identity(), process.pid, int(start))
     process.kill()
     process.wait()
 

@@ -14,7 +14,7 @@ from live_cell import SUITE, wait_until
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from rotcal_ros.nodes.scene.drawing import COLOURS, PlaceState
+from rotcal_ros.nodes.scene.drawing import COLOURS, TargetState
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -67,7 +67,7 @@ def test_a_calibration_is_drawn_and_does_not_end_with_its_scene(cell, monkeypatc
     first, last = scenes[0]["places"], scenes[-1]["places"]
     assert first.header.frame_id == "table_base"
     assert len(first.points) == len(first.colors) == 3 * 2 * 2  # plan.box_points
-    done = pytest.approx(COLOURS[PlaceState.DONE], abs=1e-6)
+    done = pytest.approx(COLOURS[TargetState.DONE], abs=1e-6)
     assert sum((c.r, c.g, c.b, c.a) == done for c in last.colors) >= 3
     errors = next(scene for scene in scenes if "errors" in scene)
     assert errors["exaggeration"].text == "errors x 20000"

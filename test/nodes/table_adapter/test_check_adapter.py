@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.nodes.table_adapter import joint_controllers
-from rotcal_ros.nodes.table_adapter.check import TableBehindAdapter
+from rotcal_ros.nodes.table_adapter.check import AdapterTablePreview
 from rotcal_ros.planning.settings import TableAdapterSettings
 
 STATUS = "/drive/follow_joint_trajectory/_action/status"
@@ -24,7 +24,7 @@ def line_of(monkeypatch, interface, *, installed, publishers=(), listeners=()):
     )
     monkeypatch.setattr(joint_controllers, "find_spec", lambda _: installed or None)
     settings = TableAdapterSettings(controller="/drive", interface=interface)
-    ears = TableBehindAdapter.__new__(TableBehindAdapter)
+    ears = AdapterTablePreview.__new__(AdapterTablePreview)
     ears._settings, ears._node = settings, node
     (line,) = ears.controller_lines()
     return line

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotcal_ros.foundation.observations import Approach, TableSample
-from rotcal_ros.nodes.table_adapter.joint_watch import JointWatch
-from rotcal_ros.planning.approach import way_to
+from rotcal_ros.nodes.table_adapter.joint_watch import JointMonitor
+from rotcal_ros.planning.approach import path_to
 from rotcal_ros.planning.settings import TableAdapterSettings
 
 DEG = pi / 180
@@ -20,7 +20,7 @@ class Joint:
     """A joint with a clock, read every 10 ms."""
 
     def __init__(self, angle):
-        self.watch, self.angle, self.now_s, self.told = JointWatch(SETTINGS), angle, 0.0, []
+        self.watch, self.angle, self.now_s, self.told = JointMonitor(SETTINGS), angle, 0.0, []
         self.noise = np.random.default_rng(3).normal(0.0, 2e-8, 10_000).tolist()
         self.stay(0.1)
 
@@ -37,7 +37,7 @@ class Joint:
             self.read()
 
     def order(self, angle, approach=Approach.UNKNOWN):
-        self.way = way_to(angle, approach, self.angle, SETTINGS)
+        self.way = path_to(angle, approach, self.angle, SETTINGS)
         self.watch.begin(self.way, self.now_s)
         self.told.clear()
 
@@ -143,7 +143,7 @@ def test_degrees_are_named():
 def test_an_angle_of_many_turns_before_the_first_order_is_doubted():
     assert "4.8 turns: if these are degrees" in Joint(30.0).watch.doubt()
     assert Joint(-3.9 * pi).watch.doubt() is None
-    trusting = JointWatch(TableAdapterSettings(many_turns=True))
+    trusting = JointMonitor(TableAdapterSettings(many_turns=True))
     trusting.hear(TableSample(1, 30.0, 0.0), 0.0)
     assert trusting.doubt() is None
 

@@ -22,9 +22,9 @@ from rotcal_ros.nodes.table_adapter.joint_controllers import (
     PositionController,
     TrajectoryController,
 )
-from rotcal_ros.nodes.table_adapter.joint_watch import JointWatch
+from rotcal_ros.nodes.table_adapter.joint_watch import JointMonitor
 from rotcal_ros.nodes.table_adapter.node import TableAdapter
-from rotcal_ros.planning.approach import way_to, way_to_rest
+from rotcal_ros.planning.approach import path_to, stopping_path
 from rotcal_ros.planning.settings import TableAdapterSettings
 
 DEG = np.pi / 180.0
@@ -54,7 +54,7 @@ class Adapter(TableAdapter):
         log = SimpleNamespace(warning=self.logged.append, error=self.logged.append)
         self.get_logger = lambda: log
         self._settings, self._joint = SETTINGS, "rotary"
-        self._watch, self._controller = JointWatch(SETTINGS), controller or Controller()
+        self._watch, self._controller = JointMonitor(SETTINGS), controller or Controller()
         self._stop = SimpleNamespace(why="", refuses=lambda _step: bool(self._stop.why))
         self._waiting, self._held, self._refused, self._others = None, False, None, ()
         self._state = NodeState.of(State.WORKING, Why.ORDERED, 1, 0)
@@ -64,7 +64,7 @@ class Adapter(TableAdapter):
 
     def order(self, ago_s=0.0):
         """Send the joint from 0 to 90 deg, some time ago."""
-        way = way_to(90.0 * DEG, Approach.UNKNOWN, 0.0, SETTINGS)
+        way = path_to(90.0 * DEG, Approach.UNKNOWN, 0.0, SETTINGS)
         self._controller.send(way)
         self._watch.begin(way, self.health.awake.now_s() - ago_s)
 
@@ -250,7 +250,7 @@ def test_a_trajectory_by_topic_is_not_followed_by_an_empty_one(topic):
 
 def test_the_way_to_rest_brakes_evenly_from_the_velocity_at_its_start():
     """p = v t - a t^2 / 2 with a = v / T, in closed form."""
-    way = way_to_rest(1.0, 10.0 * DEG, SETTINGS)
+    way = stopping_path(1.0, 10.0 * DEG, SETTINGS)
     for time_s in (0.0, 0.1, 0.3, 0.5, 0.9):
         t = min(time_s, 0.5)
         angle, speed = way.at(time_s)

@@ -82,20 +82,20 @@ class AdsLink:
             if len(rows):
                 self._set_count(plc, len(rows))
 
-    def _count(self, plc: Runtime) -> int:
+    def _count(self, plc: TwinCatRuntime) -> int:
         return int(plc.read(self._settings.count, pyads.PLCTYPE_UDINT))
 
-    def _set_count(self, plc: Runtime, rows: int) -> None:
+    def _set_count(self, plc: TwinCatRuntime, rows: int) -> None:
         plc.write(self._settings.count, rows, pyads.PLCTYPE_UDINT)
         if self._count(plc) != rows:
             raise ControllerError(f"{self.address}: {self._settings.count} does not become {rows}")
 
-    def _array(self, plc: Runtime) -> Floats:
+    def _array(self, plc: TwinCatRuntime) -> Floats:
         kind = pyads.PLCTYPE_LREAL * (self._settings.capacity * COLUMNS)
         values = plc.read(self._settings.table, kind)
         return np.array(values, dtype=np.float64).reshape(-1, COLUMNS)
 
-    def _set_array(self, plc: Runtime, array: Floats) -> None:
+    def _set_array(self, plc: TwinCatRuntime, array: Floats) -> None:
         kind = pyads.PLCTYPE_LREAL * array.size
         plc.write(self._settings.table, array.ravel().tolist(), kind)
 
@@ -108,13 +108,13 @@ class AdsLink:
         return names[0]
 
     @contextmanager
-    def _connected(self, what: str) -> Iterator[Runtime]:
+    def _connected(self, what: str) -> Iterator[TwinCatRuntime]:
         settings = self._settings
         end_s = time.monotonic() + self._timeout_s  # also of the connection, which may take long
         plc = pyads.Connection(settings.net_id, settings.port, settings.host)
         try:
             with plc:
-                yield Runtime(plc, end_s)
+                yield TwinCatRuntime(plc, end_s)
         except (pyads.ADSError, RuntimeError, ValueError, TypeError, TimeoutError) as error:
             raise ControllerError(
                 f"{self.address}: cannot {what}: {error}; check ads.host, ads.net_id and "
@@ -122,7 +122,7 @@ class AdsLink:
             ) from error
 
 
-class Runtime:
+class TwinCatRuntime:
     """The variables of a runtime; nothing begins after ``end_s`` of the monotonic clock."""
 
     def __init__(self, plc: pyads.Connection, end_s: float) -> None:

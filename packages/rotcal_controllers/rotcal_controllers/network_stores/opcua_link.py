@@ -30,7 +30,7 @@ from asyncua.crypto.uacrypto import load_certificate
 from asyncua.ua.uaerrors import BadBrowseNameDuplicated
 from cryptography.x509 import SubjectAlternativeName, UniformResourceIdentifier
 
-from rotcal_controllers.network_stores.settings import OpcUaSettings, secret
+from rotcal_controllers.network_stores.settings import OpcUaSettings, read_secret
 from rotcal_controllers.network_stores.store import NetworkStore
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_store import ENCODING
@@ -96,7 +96,7 @@ class OpcUaLink:
         client.application_uri = await _application_uri(Path(settings.certificate))
         if settings.user:
             client.set_user(settings.user)
-            client.set_password(secret(settings.password_from, "opcua.password_from"))
+            client.set_password(read_secret(settings.password_from, "opcua.password_from"))
         if settings.user_certificate:
             await client.load_client_certificate(settings.user_certificate)
             await client.load_private_key(Path(settings.user_key))

@@ -78,7 +78,7 @@ class AdsSettings:
             raise ConfigurationError("ads.net_id: expected six numbers, such as 5.12.34.56.1.1")
 
 
-def secret(source: str, where: str) -> str:
+def read_secret(source: str, where: str) -> str:
     """Return the secret that ``source``, file:PATH or env:NAME, leads to.
 
     Raises ConfigurationError when it is not there, or in a file that others may read.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_controllers.network_stores.settings import AdsSettings, OpcUaSettings, secret
+from rotcal_controllers.network_stores.settings import AdsSettings, OpcUaSettings, read_secret
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -82,18 +82,18 @@ def test_a_net_id_has_six_numbers():
 
 def test_where_a_secret_is(tmp_path, monkeypatch):
     monkeypatch.setenv("SECRET_OF_TEST", " a b ")
-    assert secret("env:SECRET_OF_TEST", "x") == " a b "
+    assert read_secret("env:SECRET_OF_TEST", "x") == " a b "
     path = tmp_path / "secret"
     path.write_text("a:b \n")
     path.chmod(0o600)
-    assert secret(f"file:{path}", "x") == "a:b "
+    assert read_secret(f"file:{path}", "x") == "a:b "
     path.chmod(0o640)
     with pytest.raises(ConfigurationError, match=f"x: others may read {path}: run chmod 600"):
-        secret(f"file:{path}", "x")
+        read_secret(f"file:{path}", "x")
     with pytest.raises(ConfigurationError, match=r"cannot read .*: No such file"):
-        secret(f"file:{path}s", "x")
+        read_secret(f"file:{path}s", "x")
     with pytest.raises(ConfigurationError, match="no variable NOT_THERE_AT_ALL"):
-        secret("env:NOT_THERE_AT_ALL", "x")
+        read_secret("env:NOT_THERE_AT_ALL", "x")
 
 
 @pytest.mark.parametrize(("transport", "package"), [("opcua", "asyncua"), ("ads", "pyads")])

@@ -11,8 +11,8 @@ transform and a few hundred operations.
 :func:`plate_trade` measures all positions and says how large the plate or how quiet the machine
 has to be. By cyclic symmetry no choice of n centres, whichever balls at whichever positions, beats
 the share n of the plate that has a ball at every step: a variance of V_full N^2 / n, the
-:func:`bound`. A good plate of a few balls comes within some per cent of that, so there is little
-to plan but the number of centres.
+:func:`variance_bound`. A good plate of a few balls comes within some per cent of that, so there is
+little to plan but the number of centres.
 
 N table positions, L layouts, R balls.
 """
@@ -548,13 +548,13 @@ def plate_trade(
                 expanded=float(turn * sigma / radius),
                 radius=float(turn * sigma / limit),
                 sigma=float(limit * radius / turn),
-                saving=1.0 - bound(grid, grid * count) / unit,
+                saving=1.0 - variance_bound(grid, grid * count) / unit,
             )
         )
     return tuple(rows)
 
 
-def bound(grid: int, centres: int) -> float:
+def variance_bound(grid: int, centres: int) -> float:
     """Return the mean variance of ECC for unit noise and radius that no plan can beat."""
     full = float(mean_variances(grid, np.arange(grid))[0, _INDEX["ECC"]])
     return full * grid**2 / centres

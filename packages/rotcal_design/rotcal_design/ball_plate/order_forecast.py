@@ -66,7 +66,7 @@ class OrderForecast:
     knock_unseen: float
 
 
-def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
+def forecast_order(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     """Predict drift, knocks and growth for a plan.
 
     ``sigma`` of a centre coordinate and ``radius`` in m.
@@ -80,7 +80,7 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     model, rows = plate_model(layout), PlateRows(layout)
     fit = fit_model(model, np.ones(len(model.observed), dtype=np.bool_), model.std, model.first)
     std, significance = fit.counting(fit.noise_std), LIMITS.of_each_effect(model)
-    closed = [ClosureTest(fit, relation, 1.0, np.inf) for relation in model.closures]
+    closed = [ClosureTest(fit, relation) for relation in model.closures]
 
     def seen_of(displacements: Floats) -> ObservableEffect:
         columns = rows.of(displacements)

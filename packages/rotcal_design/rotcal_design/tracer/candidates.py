@@ -13,7 +13,7 @@ from rotcal_design.settings import ANY, DIRECTION, PER_STATION, TracerDesignSett
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.geometry.rotations import positions_on_table
 from rotcal_ros.methods.tracer.plan import require_beams, within_reach
 from rotcal_ros.methods.tracer.policy.information import Lengths, Scene
 from rotcal_ros.planning.table_angles import table_angles
@@ -26,7 +26,7 @@ LEAST_RADIUS: Final = 1e-3
 """Smallest radius of the tracer's circle, m."""
 
 
-def scene_of(settings: TracerDesignSettings, targets: ArrayLike | None = None) -> Scene:
+def make_scene(settings: TracerDesignSettings, targets: ArrayLike | None = None) -> Scene:
     """Return the scene: stations at the table angles, and the possible ``targets`` (n, 3), m.
 
     Without given ones, a lattice in the volume whose points keep ``spacing_m``. Boxes that the
@@ -43,13 +43,13 @@ def scene_of(settings: TracerDesignSettings, targets: ArrayLike | None = None) -
             f"mount_m {list(settings.mount_m)} stands on the table's axis: a tracer that is not "
             "carried round a circle does not see the table turn; give its place beside the axis"
         )
-    places = lattice(settings) if targets is None else np.asarray(targets, dtype=np.float64)
-    for box in boxes(settings):
+    places = target_lattice(settings) if targets is None else np.asarray(targets, dtype=np.float64)
+    for box in obstacle_boxes(settings):
         places = places[~((places > box[0]) & (places < box[1])).all(axis=1)]
     if not len(places):
         raise PlanError("no target is left in the volume: see volume_min_m, keep_out_m")
     return Scene(
-        stations=on_table(settings.mount_m, angles, settings.axis_m),
+        stations=positions_on_table(settings.mount_m, angles, settings.axis_m),
         table_angles=angles,
         targets=places,
         target_std=np.asarray(settings.target_std_m),
@@ -76,8 +76,8 @@ def candidates(scene: Scene, settings: TracerDesignSettings) -> Lengths:
     free &= ~_in_sectors(on_turning, settings.blocked_on_table_deg)
     beam = apart / np.linalg.norm(apart, axis=1)[:, None]
     free &= _accepted(scene.targets[target], beam, settings)
-    for box in boxes(settings):
-        free &= ~crosses(start, apart, box)
+    for box in obstacle_boxes(settings):
+        free &= ~beams_cross_box(start, apart, box)
     require_beams(
         position[free],
         scene.table_angles,
@@ -88,7 +88,7 @@ def candidates(scene: Scene, settings: TracerDesignSettings) -> Lengths:
     return Lengths.of(position[free], target[free], segment)
 
 
-def lattice(settings: TracerDesignSettings) -> Floats:
+def target_lattice(settings: TracerDesignSettings) -> Floats:
     """Return the points (n, 3) of a lattice that fills the volume, ``spacing_m`` or more apart.
 
     Raises PlanError when there are more than MOST_PLACES.
@@ -105,7 +105,7 @@ def lattice(settings: TracerDesignSettings) -> Floats:
     return np.array(list(product(*axes)), dtype=np.float64)
 
 
-def boxes(settings: TracerDesignSettings) -> Floats:
+def obstacle_boxes(settings: TracerDesignSettings) -> Floats:
     """Return the boxes (b, 2, 3): smallest and largest corner, widened by the margin."""
     corners = np.array(settings.keep_out_m, dtype=np.float64).reshape(-1, 2, 3)
     return np.asarray(corners + settings.margin_m * np.array([-1.0, 1.0])[:, None])
@@ -119,7 +119,7 @@ def _in_sectors(angle_deg: Floats, sectors_deg: tuple[float, ...]) -> Bools:
     return inside
 
 
-def crosses(start: Floats, apart: Floats, box: Floats) -> Bools:
+def beams_cross_box(start: Floats, apart: Floats, box: Floats) -> Bools:
     """Return which beams, from ``start`` (k, 3) along ``apart`` (k, 3), meet the ``box`` (2, 3).
 
     The slabs of the box are met between two fractions of the beam; they have to overlap.

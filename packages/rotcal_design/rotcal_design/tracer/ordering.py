@@ -4,7 +4,7 @@ To first order U follows from the geometry, but a result states it after the sol
 what was measured: it may estimate the noise, leaves lengths out, and takes the error motion of the
 table from the circle where none is stated, which scatters from run to run. So the plan is measured
 many times over in simulation before it is in earnest: every run is solved by the solver itself,
-and what it states is counted (:class:`Promise`).
+and what it states is counted (:class:`SimulatedUncertainties`).
 
 A verdict that is not ``ok`` states nothing. The tests behind it call a few sound runs suspect,
 whatever is planned: no length lowers their share, which is counted apart. A run that is called so
@@ -40,7 +40,7 @@ from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, stated_time
+from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, constant_time_model
 
 LOOKS: Final = (400, 1000, 2500)
 """Runs after which is asked whether the promise is kept. Tests that call 3 % of sound runs suspect
@@ -60,7 +60,7 @@ LEAST_EXCESS: Final = 0.1
 may use ten times its variance at most."""
 
 
-def most_missed(runs: int, confidence: float) -> int:
+def allowed_misses(runs: int, confidence: float) -> int:
     """Return how many of so many ``runs`` may miss a goal that is met with ``confidence``.
 
     More often missed it would be so few times with a probability of (1 - ASSURANCE) / looks, by
@@ -71,7 +71,7 @@ def most_missed(runs: int, confidence: float) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Promise:
+class SimulatedUncertainties:
     """U (k = 2, rad) of ECC less its mean that simulated results state.
 
     ``rms`` (r,) over the angles, ``largest`` (r,) at the worst one, of each run; infinite where
@@ -102,14 +102,14 @@ class Promise:
         The order statistics that are above these quantiles with ASSURANCE, without any
         distribution assumed (Wilks, Ann. Math. Statist. 12 (1941) 91).
         """
-        return self._exceeded_by(most_missed(self.runs, confidence))
+        return self._exceeded_by(allowed_misses(self.runs, confidence))
 
     def likely(self, confidence: float) -> tuple[float, float]:
         """Return what it stays below so often as would suffice after the last look.
 
         Of the results that are ok, where fewer are.
         """
-        share = most_missed(LOOKS[-1], confidence) / LOOKS[-1]
+        share = allowed_misses(LOOKS[-1], confidence) / LOOKS[-1]
         not_ok = int(np.isinf(self.rms).sum())
         return self._exceeded_by(max(int(share * self.runs), min(not_ok, self.runs - 1)))
 
@@ -127,7 +127,7 @@ class Promise:
     def kept(self, confidence: float, rms: float, largest: float = np.inf) -> bool:
         """Return whether results are so with the probability ``confidence``."""
         missed = int((~self._met(rms, largest)).sum())
-        return missed <= most_missed(self.runs, confidence)
+        return missed <= allowed_misses(self.runs, confidence)
 
     def hopeless(self, confidence: float) -> bool:
         """Return whether those that are not ok are more than may miss any goal."""
@@ -138,7 +138,7 @@ class Promise:
         return np.asarray(within & np.isfinite(self.rms), dtype=np.bool_)
 
 
-def promised(
+def simulate_uncertainties(
     problem: TracerProblem,
     scene: Scene,
     goal: tuple[float, float],
@@ -146,7 +146,7 @@ def promised(
     *,
     looks: Sequence[int] = LOOKS,
     seed: int = 0,
-) -> Promise:
+) -> SimulatedUncertainties:
     """Return what results of ``problem`` in the ``scene`` will state; its lengths do not matter.
 
     Lengths and targets scatter as stated, and the stations about their circle by its stated
@@ -160,11 +160,11 @@ def promised(
         found.append(_stated(_measured(problem, scene, np.random.default_rng([seed, number]))))
         missed += not (found[-1][0] <= goal[0] and found[-1][1] <= goal[1])
         runs = number + 1
-        if runs in looks and missed <= most_missed(runs, confidence):
+        if runs in looks and missed <= allowed_misses(runs, confidence):
             break
-        if runs >= FEWEST and missed > most_missed(looks[-1], confidence):
+        if runs >= FEWEST and missed > allowed_misses(looks[-1], confidence):
             break
-    return Promise(*np.array(found).T)
+    return SimulatedUncertainties(*np.array(found).T)
 
 
 def variances_about_mean(covariance: Floats) -> Floats:
@@ -173,7 +173,7 @@ def variances_about_mean(covariance: Floats) -> Floats:
     return np.asarray(np.diagonal(turn @ covariance @ turn), dtype=np.float64)
 
 
-def expanded(covariance: Floats) -> Floats:
+def expanded_about_mean(covariance: Floats) -> Floats:
     """Return U (m,), k = 2, of deviations less their mean, from their ``covariance`` (m, m)."""
     variance = np.maximum(variances_about_mean(covariance), 0.0)
     return np.asarray(COVERAGE_FACTOR * np.sqrt(variance), dtype=np.float64)
@@ -212,7 +212,7 @@ def _stated(problem: TracerProblem) -> tuple[float, float]:
         return np.inf, np.inf
     if solution.found.verdict != "ok":
         return np.inf, np.inf
-    found = expanded(solution.covariance)
+    found = expanded_about_mean(solution.covariance)
     return float(np.sqrt((found**2).mean())), float(found.max())
 
 
@@ -221,7 +221,7 @@ def time_model(settings: TracerDesignSettings) -> TimeModel:
     machine = HARDLY
     if settings.machine_speed_m_s is not None:
         machine = Drive(settings.machine_speed_m_s, settings.machine_acceleration_m_s2)
-    return stated_time(settings.rotation_s, settings.length_s, machine)
+    return constant_time_model(settings.rotation_s, settings.length_s, machine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +237,7 @@ class OrderedDesign:
     design: TracerDesign
     order: MeasuringOrder
     variances: Floats
-    promise: Promise
+    promise: SimulatedUncertainties
     quickest: MeasuringOrder
 
     @property
@@ -391,6 +391,8 @@ def _in_order(design: TracerDesign) -> OrderedDesign:
     )  # fmt: skip
     order = least_hidden(ways, settings.max_unseen)
     posed = replace(problem, targets=scene.targets, order=ranks(order.order))
-    promise = promised(posed, scene, settings.goal, settings.confidence, seed=settings.seed)
+    promise = simulate_uncertainties(
+        posed, scene, settings.goal, settings.confidence, seed=settings.seed
+    )
     stated = variances_about_mean(predicted(posed, scene.stations).covariance)
     return OrderedDesign(design, order, stated, promise, ways[0])

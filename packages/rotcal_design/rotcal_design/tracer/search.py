@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_design.settings import PER_STATION, TracerDesignSettings
-from rotcal_design.tracer.candidates import candidates, scene_of
+from rotcal_design.tracer.candidates import candidates, make_scene
 from rotcal_design.tracer.optimum import Optimum, ideal_plan
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
@@ -57,7 +57,7 @@ noise to show."""
 
 
 @dataclass(frozen=True, eq=False)
-class Checks:
+class LengthReliability:
     """``redundancy`` (N,) of N lengths, ``detectable`` (N,) error in m, ``effect`` (N, m) in rad.
 
     ``effect``: what the smallest detectable error does to the angles less their mean. ``share``
@@ -70,7 +70,7 @@ class Checks:
     share: Floats
 
 
-def checks_of(known: Information, significance: float, power: float) -> Checks:
+def length_reliability(known: Information, significance: float, power: float) -> LengthReliability:
     """Return what the lengths in ``known`` check of each other."""
     beams = known.beams(known.lengths)
     delta0 = detectable_in_std(len(known.lengths), significance, power)
@@ -81,7 +81,7 @@ def checks_of(known: Information, significance: float, power: float) -> Checks:
     effect = beams.angles * (detectable / beams.variance)[:, None]
     expanded = COVERAGE_FACTOR * np.sqrt(known.variances())
     share = (np.abs(effect) / expanded).max(axis=1)
-    return Checks(redundancy, detectable, effect, share)
+    return LengthReliability(redundancy, detectable, effect, share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class TracerDesign:
     scene: Scene
     lengths: Lengths
     known: Information
-    checks: Checks
+    checks: LengthReliability
     ideal: Optimum
     checked_bound: int
 
@@ -139,9 +139,9 @@ class DesignSearch:
         progress: Progress | None = None,
     ) -> None:
         self.settings = settings
-        self.scene = scene_of(settings, targets)
-        self.demands = demands_of(self.scene, settings)
-        self.segments = segments_of(self.scene, settings)
+        self.scene = make_scene(settings, targets)
+        self.demands = design_demands(self.scene, settings)
+        self.segments = zero_count(self.scene, settings)
         self._parts = _Parts(progress, 2 + settings.starts)
         self._pairs = candidates(self.scene, settings)
         self._floor = _floor(self.scene, self.demands, settings)
@@ -229,7 +229,7 @@ def flat_stations(scene: Scene, lengths: Lengths) -> Ints:
     return np.flatnonzero(Spread.of(scene, lengths).depth < LEAST_DEPTH)
 
 
-def segments_of(scene: Scene, settings: TracerDesignSettings) -> int:
+def zero_count(scene: Scene, settings: TracerDesignSettings) -> int:
     """Return how many zeros the lengths have."""
     return len(scene.stations) if settings.zero == PER_STATION else 1
 
@@ -246,7 +246,7 @@ def _floor(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> fl
     return constant
 
 
-def demands_of(scene: Scene, settings: TracerDesignSettings) -> Demands:
+def design_demands(scene: Scene, settings: TracerDesignSettings) -> Demands:
     """Return what ``settings`` ask of a plan in the ``scene``."""
     return Demands(
         mean=(settings.need_arcsec * ARCSEC / COVERAGE_FACTOR) ** 2,
@@ -269,7 +269,7 @@ def _finished(
     fewer = scene.with_targets(used)
     own = Lengths.of(lengths.position, numbers, lengths.segment)
     known = Information(fewer, own, segments)
-    checks = checks_of(known, settings.rejection_significance, settings.power)
+    checks = length_reliability(known, settings.rejection_significance, settings.power)
     return TracerDesign(
         settings, fewer, own, known, checks, ideal, _checked_bound(settings, scene)
     )

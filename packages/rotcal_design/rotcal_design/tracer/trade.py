@@ -15,9 +15,14 @@ from typing import Final
 import numpy as np
 
 from rotcal_design.settings import TracerDesignSettings
-from rotcal_design.tracer.candidates import candidates, scene_of
+from rotcal_design.tracer.candidates import candidates, make_scene
 from rotcal_design.tracer.optimum import ideal_plan
-from rotcal_design.tracer.search import Checks, checks_of, demands_of, segments_of
+from rotcal_design.tracer.search import (
+    LengthReliability,
+    design_demands,
+    length_reliability,
+    zero_count,
+)
 from rotcal_ros.foundation.arrays import Bools
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import ARCSEC
@@ -72,9 +77,9 @@ def tracer_trade(
 
 
 def _traded(settings: TracerDesignSettings, time: TimeModel) -> Trade:
-    scene = scene_of(settings)
-    pairs, segments = candidates(scene, settings), segments_of(scene, settings)
-    wanted = demands_of(scene, settings)
+    scene = make_scene(settings)
+    pairs, segments = candidates(scene, settings), zero_count(scene, settings)
+    wanted = design_demands(scene, settings)
     every = Information(scene, pairs, segments)
     goal, radius = wanted.mean, settings.mount_m[0]
     plan = None
@@ -138,8 +143,8 @@ def _next_target(
     return int(tried[np.argmin(left)])
 
 
-def _checks(plan: Information, settings: TracerDesignSettings) -> Checks:
-    return checks_of(plan, settings.rejection_significance, settings.power)
+def _checks(plan: Information, settings: TracerDesignSettings) -> LengthReliability:
+    return length_reliability(plan, settings.rejection_significance, settings.power)
 
 
 def _checked(plan: Information, settings: TracerDesignSettings) -> bool:

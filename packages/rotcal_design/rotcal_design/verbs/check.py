@@ -10,7 +10,7 @@ import click
 from rotcal_design.goal import goal_settings
 from rotcal_design.settings import LEAST_REDUNDANCY
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import rule_of, rule_options, set_option
+from rotcal_ros.cli.options import make_check_rule, rule_options, set_option
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.dates import today
@@ -161,13 +161,13 @@ def _check_plan(
             raise click.UsageError(
                 "--candidates, --volume, --volume-set and --every are for a laser tracer"
             )
-        return plan_ball_check(configuration, curve, rule_of(ARCSEC, **rule))
+        return plan_ball_check(configuration, curve, make_check_rule(ARCSEC, **rule))
     room = goal_settings(configuration, volume, limits) if volume or limits else None
     with progress("targets") as shown:
         return plan_check(
             configuration,
             curve,
-            rule_of(ARCSEC, **rule),
+            make_check_rule(ARCSEC, **rule),
             every=every,
             offered=() if candidates is None else read_targets(candidates),
             room=room,

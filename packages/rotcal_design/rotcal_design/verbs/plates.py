@@ -10,7 +10,7 @@ import click
 from rotcal_design.verbs.options import numbers, positive, whole_numbers
 from rotcal_ros.cli.console import json_option, print_json
 from rotcal_ros.cli.options import shown_option
-from rotcal_ros.cli.plan import order_dict, order_in_words, touch_option
+from rotcal_ros.cli.plan import describe_order, order_dict, touch_option
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
@@ -89,7 +89,7 @@ def plate(
     plate and its growth with the temperature would do, and from which size they are found.
     """
     from rotcal_design.ball_plate.ball_layout import plan_plate
-    from rotcal_design.ball_plate.order_forecast import forecast
+    from rotcal_design.ball_plate.order_forecast import forecast_order
     from rotcal_ros.methods.ball_plate.measuring_order import Kinematics
 
     with progress("layouts") as shown:
@@ -106,7 +106,7 @@ def plate(
     sigma = sigma_um * MICROMETRE
     std = layout.predicted_std(sigma, radius_m)
     orders = _orders(layout, radius_m, Kinematics(touches_per_ball=touches))
-    forecasts = {name: forecast(rows, sigma, radius_m) for name, rows in orders.items()}
+    forecasts = {name: forecast_order(rows, sigma, radius_m) for name, rows in orders.items()}
     if as_json:
         by_name = {
             n: order_dict(o) | forecast_dict(forecasts[n], material, warming_k)
@@ -121,7 +121,7 @@ def plate(
         return 0
     _print_layout(layout, std)
     for name, rows in orders.items():
-        click.echo(f"\n{order_in_words(name, rows)}")
+        click.echo(f"\n{describe_order(name, rows)}")
         click.echo("\n".join(forecast_lines(forecasts[name], material, warming_k)))
     return 0
 

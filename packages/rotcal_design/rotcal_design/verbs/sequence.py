@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
-from rotcal_ros.cli.options import configurations, set_option
+from rotcal_ros.cli.options import complete_configurations, set_option
 from rotcal_ros.cli.plan import NOISE_SEED
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
@@ -28,7 +28,9 @@ ATTEMPTS: Final = 3
 
 
 @click.command("sequence")
-@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@click.argument(
+    "configuration", type=path_type, metavar="CONFIG", shell_complete=complete_configurations
+)
 @set_option
 @click.option(
     "--cell",
@@ -66,14 +68,14 @@ def sequence(
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
     from rotcal_ros.methods.tracer.simulation import cell_time
     from rotcal_ros.methods.tracer.table import write_pairs
-    from rotcal_ros.planning.sequence_time import stated_time
+    from rotcal_ros.planning.sequence_time import constant_time_model
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes))
     if calibration.method.name != "tracer_multistation":
         raise ConfigurationError(
             f"{configuration}: only plans of a laser tracer have such orders; name one of these"
         )
-    model = stated_time(turn_s, length_s)
+    model = constant_time_model(turn_s, length_s)
     if cell:
         model = cell_time(calibration.configuration)
     ways = _measuring_orders(calibration, model, limit, seed)

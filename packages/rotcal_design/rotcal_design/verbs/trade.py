@@ -126,7 +126,7 @@ def tracer(
     """
     from rotcal_design.settings import PER_STATION, SHARED, TracerDesignSettings
     from rotcal_design.tracer.trade import tracer_trade
-    from rotcal_ros.planning.sequence_time import stated_time
+    from rotcal_ros.planning.sequence_time import constant_time_model
     from rotcal_ros.report.terminal.console import progress
 
     radii, sigmas = (
@@ -144,7 +144,7 @@ def tracer(
     with progress("plans") as shown:
         rows = tracer_trade(
             settings, radii, [sigma * MICROMETRE for sigma in sigmas],
-            time=stated_time(turn_s, length_s), progress=shown,
+            time=constant_time_model(turn_s, length_s), progress=shown,
         )  # fmt: skip
     title = (
         f"laser tracer, {settings.table_positions} table angles, for U(ECC) <= {need_arcsec:g} "

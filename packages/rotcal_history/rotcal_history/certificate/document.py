@@ -43,7 +43,7 @@ LANGUAGE: Final = ENGLISH.code
 OTHERS: Final = language_codes()[1:]
 
 
-def text(tag: str, *paragraphs: str, **attributes: str) -> Any:
+def text_element(tag: str, *paragraphs: str, **attributes: str) -> Any:
     """Return an element with its text in English, and what is a phrase in the others too."""
     contents = [DCC.content(printable_lines(p), lang=LANGUAGE) for p in paragraphs]
     contents += [
@@ -55,36 +55,40 @@ def text(tag: str, *paragraphs: str, **attributes: str) -> Any:
     return DCC(tag, *contents, **attributes)
 
 
-def leaf(tag: str, value: str) -> Any:
+def leaf_element(tag: str, value: str) -> Any:
     """Return an element with one word or number; runs of blanks become one, as the schema asks."""
     return DCC(tag, printable(" ".join(value.split())))
 
 
-def present(*elements: Any) -> list[Any]:
+def present_elements(*elements: Any) -> list[Any]:
     """Return those elements that are there."""
     return [element for element in elements if element is not None]
 
 
-def numbers(values: Iterable[float]) -> str:
+def number_list(values: Iterable[float]) -> str:
     """Return numbers as a list of the schema; every bit survives."""
     return " ".join(repr(float(value)) for value in values)
 
 
-def contact(tag: str, name: str, address: str = "", email: str = "", country: str = "") -> Any:
+def contact_element(
+    tag: str, name: str, address: str = "", email: str = "", country: str = ""
+) -> Any:
     """Return a person or an organisation; one that has an address has a location."""
     location = None
     if address:
-        further = text("further", address)
+        further = text_element("further", address)
         location = DCC.location(
-            *present(leaf("countryCode", country) if country else None, further)
+            *present_elements(leaf_element("countryCode", country) if country else None, further)
         )
-    mail = leaf("eMail", email) if email else None
-    return DCC(tag, *present(text("name", name), mail, location))
+    mail = leaf_element("eMail", email) if email else None
+    return DCC(tag, *present_elements(text_element("name", name), mail, location))
 
 
-def identification(issuer: str, value: str, name: str) -> Any:
+def identification_element(issuer: str, value: str, name: str) -> Any:
     """Return a number by which something is known, and who gave it."""
-    return DCC.identification(leaf("issuer", issuer), leaf("value", value), text("name", name))
+    return DCC.identification(
+        leaf_element("issuer", issuer), leaf_element("value", value), text_element("name", name)
+    )
 
 
 SCHEMA: Final = "3.3.0"
@@ -93,12 +97,12 @@ LARGEST_TEXT: Final = 9_900_000
 _LOCATION: Final = "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"
 
 
-def certificate(result: Result, method_title: str, issued: date) -> bytes:
+def make_certificate(result: Result, method_title: str, issued: date) -> bytes:
     """Return the digital calibration certificate of a result as XML, UTF-8.
 
     Raises ConfigurationError that lists what the result lacks, DataError if its verdict is not ok.
     """
-    require(result)
+    require_certifiable(result)
     root = DCC.digitalCalibrationCertificate(
         administrative_data(result, issued),
         measurement_results(result, method_title),
@@ -107,10 +111,10 @@ def certificate(result: Result, method_title: str, issued: date) -> bytes:
     )
     root.set(_LOCATION, f"{DCC_NAMESPACE} {DCC_NAMESPACE}/v{SCHEMA}/dcc.xsd")
     etree.indent(root)
-    return as_bytes(root)
+    return xml_bytes(root)
 
 
-def as_bytes(root: Any) -> bytes:
+def xml_bytes(root: Any) -> bytes:
     """Return a document as it is written."""
     data: bytes = etree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return data
@@ -129,10 +133,10 @@ def _result_file(result: Result) -> Any:
         name, mime = "result.json.sha256", "text/plain"
         data = f"{digest}  result.json\n".encode()
     return DCC.document(
-        text("name", phrase("The result in the machine-readable form of rotcal_ros")),
-        leaf("fileName", name),
-        leaf("mimeType", mime),
-        leaf("dataBase64", b64encode(data).decode()),
+        text_element("name", phrase("The result in the machine-readable form of rotcal_ros")),
+        leaf_element("fileName", name),
+        leaf_element("mimeType", mime),
+        leaf_element("dataBase64", b64encode(data).decode()),
     )
 
 
@@ -153,11 +157,13 @@ def measurement_results(result: Result, method_title: str) -> Any:
     paragraphs.append(phrase("Deviation = actual - commanded, names after ISO 230-1, SI units."))
     return DCC.measurementResults(
         DCC.measurementResult(
-            *present(
-                text("name", marked(phrase("Deviations of a rotary table"), circumstances)),
-                text("description", *paragraphs),
+            *present_elements(
+                text_element(
+                    "name", mark_simulated(phrase("Deviations of a rotary table"), circumstances)
+                ),
+                text_element("description", *paragraphs),
                 DCC.usedMethods(*_methods(result, method_title)),
-                DCC.usedSoftware(software()),
+                DCC.usedSoftware(software_element()),
                 _instruments(circumstances),
                 _conditions(circumstances),
                 DCC.results(
@@ -171,8 +177,8 @@ def measurement_results(result: Result, method_title: str) -> Any:
 
 def _methods(result: Result, title: str) -> Iterator[Any]:
     yield DCC.usedMethod(
-        text("name", phrase(title)),
-        text(
+        text_element("name", phrase(title)),
+        text_element(
             "description",
             f"Method {result.method} of rotcal_ros; {result.n_observations} observations, of "
             f"these {len(result.rejected)} rejected; degrees of freedom {result.dof}, "
@@ -183,8 +189,8 @@ def _methods(result: Result, title: str) -> Iterator[Any]:
     refraction = result.circumstances.refraction
     if refraction:
         yield DCC.usedMethod(
-            text("name", phrase("Index of refraction of the air")),
-            text("description", f"{refraction}."),
+            text_element("name", phrase("Index of refraction of the air")),
+            text_element("description", f"{refraction}."),
         )
 
 
@@ -203,14 +209,14 @@ def _instrument(name: str, instrument: InstrumentIdentity) -> Any:
         history.append(phrase("Certificate {0}.", instrument.certificate))
     serial = None
     if instrument.serial:
-        known = identification("manufacturer", instrument.serial, phrase("serial number"))
+        known = identification_element("manufacturer", instrument.serial, phrase("serial number"))
         serial = DCC.identifications(known)
     return DCC.measuringEquipment(
-        *present(
-            text("name", phrase(name.replace("_", " "))),
-            text("description", *history) if history else None,
-            contact("manufacturer", instrument.maker) if instrument.maker else None,
-            leaf("model", instrument.model) if instrument.model else None,
+        *present_elements(
+            text_element("name", phrase(name.replace("_", " "))),
+            text_element("description", *history) if history else None,
+            contact_element("manufacturer", instrument.maker) if instrument.maker else None,
+            leaf_element("model", instrument.model) if instrument.model else None,
             serial,
         )
     )
@@ -236,10 +242,12 @@ def _condition(name: str, found: Range, unit: str) -> Any:
     if found.lowest == found.highest:  # such as a value that the configuration states
         values = [(phrase("value"), found.mean)]
     quantities = (
-        DCC.quantity(text("name", what), SI.real(SI.value(repr(float(value))), SI.unit(unit)))
+        DCC.quantity(
+            text_element("name", what), SI.real(SI.value(repr(float(value))), SI.unit(unit))
+        )
         for what, value in values
     )
-    return DCC.influenceCondition(text("name", name), DCC.data(*quantities))
+    return DCC.influenceCondition(text_element("name", name), DCC.data(*quantities))
 
 
 def _axis(line: AxisLine) -> Any:
@@ -247,23 +255,23 @@ def _axis(line: AxisLine) -> Any:
 
     What joins a place and a turn is in the result that is attached.
     """
-    origin = SI.realListXMLList(SI.valueXMLList(numbers(line.origin)), SI.unitXMLList(_METRE))
+    origin = SI.realListXMLList(SI.valueXMLList(number_list(line.origin)), SI.unitXMLList(_METRE))
     point = DCC.quantity(
-        text("name", phrase("Nominal point of the axis, x y z")),
+        text_element("name", phrase("Nominal point of the axis, x y z")),
         origin,
         refType="basic_nominalValue",
     )
     pairs = (
         DCC.quantity(
-            text("name", " ".join(line.names[at])),
+            text_element("name", " ".join(line.names[at])),
             _measured(line.value[at], line.std[at], line.covariance[at, at], unit),
             refType="basic_measurementError",
         )
         for at, unit in ((slice(2), _METRE), (slice(2, 4), _RADIAN))
     )
     return DCC.result(
-        text("name", phrase("Average line of the axis {0}", line.letter)),
-        text(
+        text_element("name", phrase("Average line of the axis {0}", line.letter)),
+        text_element(
             "description",
             phrase("Measured less nominal line (ISO 230-7), in the machine's coordinates."),
             phrase("The places hold at the height of the nominal point."),
@@ -275,7 +283,9 @@ def _axis(line: AxisLine) -> Any:
 
 def _curve(result: Result, component: str) -> Any:
     """Return one deviation over the angles, with expanded uncertainties and covariance."""
-    angles = SI.realListXMLList(SI.valueXMLList(numbers(result.angles)), SI.unitXMLList(_RADIAN))
+    angles = SI.realListXMLList(
+        SI.valueXMLList(number_list(result.angles)), SI.unitXMLList(_RADIAN)
+    )
     deviations = _measured(
         result.deviations[component],
         result.std[component],
@@ -283,13 +293,15 @@ def _curve(result: Result, component: str) -> Any:
         _METRE if component in TRANSLATIONS else _RADIAN,
     )
     return DCC.result(
-        text("name", component),
+        text_element("name", component),
         DCC.data(
             DCC.quantity(
-                text("name", phrase("Commanded angle")), angles, refType="basic_nominalValue"
+                text_element("name", phrase("Commanded angle")),
+                angles,
+                refType="basic_nominalValue",
             ),
             DCC.quantity(
-                text("name", phrase("{0}: actual - commanded", component)),
+                text_element("name", phrase("{0}: actual - commanded", component)),
                 deviations,
                 refType="basic_measurementError",
             ),
@@ -301,7 +313,7 @@ def _curve(result: Result, component: str) -> Any:
 def _measured(value: Floats, std: Floats, covariance: Floats | None, unit: str) -> Any:
     """Return values (n,) with their expanded uncertainties and, where it is known, covariance."""
     found = SI.realListXMLList(
-        SI.valueXMLList(numbers(value)), SI.unitXMLList(unit), _expanded(std)
+        SI.valueXMLList(number_list(value)), SI.unitXMLList(unit), _expanded(std)
     )
     if covariance is not None:
         found.append(_covariance(covariance, unit))
@@ -312,7 +324,7 @@ def _expanded(std: Floats) -> Any:
     """Return U = k u; k is a power of two, so that no bit of u is lost."""
     return SI.measurementUncertaintyUnivariateXMLList(
         SI.expandedMUXMLList(
-            SI.valueExpandedMUXMLList(numbers(COVERAGE_FACTOR * std)),
+            SI.valueExpandedMUXMLList(number_list(COVERAGE_FACTOR * std)),
             SI.coverageFactorXMLList(f"{COVERAGE_FACTOR:g}"),
             SI.coverageProbabilityXMLList(PROBABILITY),
             SI.distributionXMLList(_NORMAL),
@@ -331,7 +343,7 @@ def _covariance(covariance: Floats, unit: str) -> Any:
     squared = f"{unit}\\tothe{{2}}"
     columns = (
         SI.columnXMLList(
-            SI.covarianceXMLList(SI.valueXMLList(numbers(column)), SI.unitXMLList(squared))
+            SI.covarianceXMLList(SI.valueXMLList(number_list(column)), SI.unitXMLList(squared))
         )
         for column in np.asarray(covariance).T
     )
@@ -361,7 +373,7 @@ REQUIRED: Final = {
 """Settings of the group ``identity`` that every certificate needs, and why."""
 
 
-def require(result: Result) -> None:
+def require_certifiable(result: Result) -> None:
     """Refuse what cannot be certified.
 
     Raises ConfigurationError that lists everything that is missing, by the names of the settings,
@@ -409,11 +421,11 @@ def administrative_data(result: Result, issued: date) -> Any:
     circumstances = result.circumstances
     identity = circumstances.identity
     return DCC.administrativeData(
-        DCC.dccSoftware(software()),
+        DCC.dccSoftware(software_element()),
         _core_data(circumstances, issued),
         DCC.items(_item(circumstances)),
         DCC.calibrationLaboratory(
-            contact(
+            contact_element(
                 "contact",
                 identity.laboratory,
                 identity.laboratory_address,
@@ -422,22 +434,26 @@ def administrative_data(result: Result, issued: date) -> Any:
             )
         ),
         DCC.respPersons(
-            DCC.respPerson(contact("person", identity.operator), leaf("mainSigner", "true"))
+            DCC.respPerson(
+                contact_element("person", identity.operator), leaf_element("mainSigner", "true")
+            )
         ),
-        contact("customer", identity.customer, identity.customer_address),
+        contact_element("customer", identity.customer, identity.customer_address),
         DCC.statements(*(DCC.statement(*parts) for parts in _statements(result))),
     )
 
 
-def marked(name: str, circumstances: Circumstances) -> str:
+def mark_simulated(name: str, circumstances: Circumstances) -> str:
     """Return a name that says where a simulation was measured instead."""
     return phrase("SIMULATED: {0}", name) if circumstances.simulated else name
 
 
-def software() -> Any:
+def software_element() -> Any:
     """Return this software as an element."""
     return DCC.software(
-        text("name", "rotcal_ros"), leaf("release", __version__), leaf("type", "application")
+        text_element("name", "rotcal_ros"),
+        leaf_element("release", __version__),
+        leaf_element("type", "application"),
     )
 
 
@@ -448,20 +464,22 @@ def _core_data(circumstances: Circumstances, issued: date) -> Any:
     number = f"{SIMULATED}-" * circumstances.simulated + identity.certificate_number
     ordered = None
     if identity.customer_number:
-        known = identification("customer", identity.customer_number, phrase("customer's number"))
+        known = identification_element(
+            "customer", identity.customer_number, phrase("customer's number")
+        )
         ordered = DCC.identifications(known)
     return DCC.coreData(
-        *present(
-            leaf("countryCodeISO3166_1", identity.laboratory_country),
-            *(leaf("usedLangCodeISO639_1", code) for code in language_codes()),
-            leaf("mandatoryLangCodeISO639_1", LANGUAGE),
-            leaf("uniqueIdentifier", number),
+        *present_elements(
+            leaf_element("countryCodeISO3166_1", identity.laboratory_country),
+            *(leaf_element("usedLangCodeISO639_1", code) for code in language_codes()),
+            leaf_element("mandatoryLangCodeISO639_1", LANGUAGE),
+            leaf_element("uniqueIdentifier", number),
             ordered,
-            leaf("receiptDate", identity.received) if identity.received else None,
-            leaf("beginPerformanceDate", begun),
-            leaf("endPerformanceDate", ended),
-            leaf("performanceLocation", "other"),
-            leaf("issueDate", issued.isoformat()),
+            leaf_element("receiptDate", identity.received) if identity.received else None,
+            leaf_element("beginPerformanceDate", begun),
+            leaf_element("endPerformanceDate", ended),
+            leaf_element("performanceLocation", "other"),
+            leaf_element("issueDate", issued.isoformat()),
         )
     )
 
@@ -475,13 +493,13 @@ def _item(circumstances: Circumstances) -> Any:
     )
     paragraphs = [axis, NOT_MEASURED] if circumstances.simulated else [axis]
     return DCC.item(
-        *present(
-            text("name", marked(identity.item, circumstances)),
-            text("description", *paragraphs),
-            contact("manufacturer", identity.maker) if identity.maker else None,
-            leaf("model", identity.model) if identity.model else None,
+        *present_elements(
+            text_element("name", mark_simulated(identity.item, circumstances)),
+            text_element("description", *paragraphs),
+            contact_element("manufacturer", identity.maker) if identity.maker else None,
+            leaf_element("model", identity.model) if identity.model else None,
             DCC.identifications(
-                identification("manufacturer", identity.serial, phrase("serial number"))
+                identification_element("manufacturer", identity.serial, phrase("serial number"))
             ),
         )
     )
@@ -514,7 +532,7 @@ def _statements(result: Result) -> Iterator[list[Any]]:
 
 
 def _statement(name: str, *paragraphs: str) -> list[Any]:
-    return [text("name", name), text("declaration", *paragraphs)]
+    return [text_element("name", name), text_element("declaration", *paragraphs)]
 
 
 ROOT: Final = f"{{{DCC_NAMESPACE}}}digitalCalibrationCertificate"
@@ -537,7 +555,7 @@ def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
         raise ConfigurationError(
             f"cannot sign: {error}; expected an RSA key and its X.509 certificate, both PEM"
         ) from error
-    return as_bytes(root)
+    return xml_bytes(root)
 
 
 def verify(certificate: bytes, x509: bytes) -> None:

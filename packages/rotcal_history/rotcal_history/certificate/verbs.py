@@ -10,13 +10,13 @@ from rotcal_history.certificate.writing import require_new
 from rotcal_history.certificate.writing import write_certificate as write_file
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.inputs import MeasurementInput
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.terminal.console import say
 
 
 def write_certificate(
-    given: Input, output: Path | None, key: Path | None, x509: Path | None
+    given: MeasurementInput, output: Path | None, key: Path | None, x509: Path | None
 ) -> int:
     """Write the certificate, signed with a key and its X.509 certificate if given.
 

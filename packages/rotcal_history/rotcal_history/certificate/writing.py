@@ -6,7 +6,7 @@ from datetime import datetime, timezone
 from os import PathLike
 from pathlib import Path
 
-from rotcal_history.certificate.document import certificate, signed
+from rotcal_history.certificate.document import make_certificate, signed
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.results import Result
@@ -43,7 +43,7 @@ def write_certificate(
     require_new(path)
     result = source if isinstance(source, Result) else source.solve()
     title = find_method(result.method).title if result.method in method_names() else result.method
-    data = certificate(result, title, datetime.now(timezone.utc).date())
+    data = make_certificate(result, title, datetime.now(timezone.utc).date())
     if key is not None and x509 is not None:
         data = signed(data, read_bytes(Path(key)), read_bytes(Path(x509)))
     write_atomically(path, data.decode())

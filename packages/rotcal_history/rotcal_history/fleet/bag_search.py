@@ -277,7 +277,7 @@ def remote_state(source: str, tail_bytes: int, *, whole: bool) -> Iterator[bytes
 
 
 @contextmanager
-def local(source: str) -> Iterator[Path]:
+def local_copy(source: str) -> Iterator[Path]:
     """Give the bag as a local path, fetched into a temporary folder when it lies elsewhere."""
     if not is_remote(source):
         yield Path(source)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from rotcal_history.fleet.bag_search import is_remote, local, remote_state
+from rotcal_history.fleet.bag_search import is_remote, local_copy, remote_state
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, sha256_of
@@ -29,7 +29,7 @@ from rotcal_ros.recordings.replay import Recording, read_recording
 
 
 @dataclass(frozen=True)
-class Job:
+class BagJob:
     """One bag to be solved: ``source`` is a path or an fsspec URL, ``cache`` the cache's folder.
 
     With ``verify_bytes`` every byte of the bag decides whether the cache has its outcome.
@@ -41,7 +41,7 @@ class Job:
     verify_bytes: bool = False
 
 
-def solve_bag(job: Job) -> BagOutcome:
+def solve_bag(job: BagJob) -> BagOutcome:
     """Solve one bag; whatever goes wrong with it becomes part of the outcome."""
     begin = time.perf_counter()
     key, was_damaged = "", False
@@ -50,9 +50,9 @@ def solve_bag(job: Job) -> BagOutcome:
         try:
             if known := read_entry(Path(job.cache), key):
                 return replace(known, source=job.source, cached=True)
-        except BrokenEntry:
+        except DamagedEntryError:
             was_damaged = True
-        with local(job.source) as path:
+        with local_copy(job.source) as path:
             outcome = _solve(job, path, key)
     except Exception as error:  # one bad bag does not stop the rest
         return BagOutcome(
@@ -61,7 +61,7 @@ def solve_bag(job: Job) -> BagOutcome:
     return _cached(job, replace(outcome, seconds=time.perf_counter() - begin, healed=was_damaged))
 
 
-def _cached(job: Job, outcome: BagOutcome) -> BagOutcome:
+def _cached(job: BagJob, outcome: BagOutcome) -> BagOutcome:
     """Put a good outcome into the cache; on a full disk it only carries a warning."""
     try:
         write_entry(Path(job.cache), replace(outcome, healed=False))
@@ -84,7 +84,7 @@ def _in_words(error: Exception) -> str:
     return f"{type(error).__name__} while solving, which is a fault of rotcal_ros: {error}"
 
 
-def _solve(job: Job, path: Path, key: str) -> BagOutcome:
+def _solve(job: BagJob, path: Path, key: str) -> BagOutcome:
     with collect_unread() as missing:
         recording = read_recording(path, configuration=job.configuration)
     starts = [v.start_ns for v in recording.verdicts if v.start_ns is not None]
@@ -151,7 +151,7 @@ class BagOutcome:
         return None if self.result is None else Result.from_dict(self.result)
 
 
-class BrokenEntry(Exception):  # noqa: N818  the state of an entry, not a fault of the program
+class DamagedEntryError(Exception):
     """A damaged entry of the cache."""
 
 
@@ -182,22 +182,22 @@ def _state(file: Path) -> str:
 
 
 def read_entry(folder: Path, key: str) -> BagOutcome | None:
-    """Return the outcome under ``key``, None without one; raises BrokenEntry."""
+    """Return the outcome under ``key``, None without one; raises DamagedEntryError."""
     try:
         checksum, text = _path(folder, key).read_text(encoding="utf-8").split("\n", 1)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise BrokenEntry(str(error)) from error
+        raise DamagedEntryError(str(error)) from error
     if checksum != _checksum(text):
-        raise BrokenEntry(f"{key}: not as it was written")
+        raise DamagedEntryError(f"{key}: not as it was written")
     known = json.loads(text)
     return BagOutcome(**known | {name: tuple(known[name]) for name in ("warnings", "unread")})
 
 
-def kept_result(folder: Path, key: str) -> Result:
+def cached_result(folder: Path, key: str) -> Result:
     """Return the result under ``key``; DataError where the cache could not keep it."""
-    with suppress(BrokenEntry):
+    with suppress(DamagedEntryError):
         if (known := read_entry(folder, key)) and (result := known.deviations()) is not None:
             return result
     raise DataError(f"{folder} did not keep the result: make room there, and give the call again")

@@ -13,7 +13,7 @@ import click
 
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import configurations
+from rotcal_ros.cli.options import complete_configurations
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.escapes import encodable
@@ -33,7 +33,7 @@ FOLDER: Final = "{folder}"
     "--setup",
     type=path_type,
     required=True,
-    shell_complete=configurations,
+    shell_complete=complete_configurations,
     help="Configuration for all bags.",
 )
 @click.option(
@@ -92,8 +92,8 @@ def command(
     One bad bag does not stop the rest; the exit code is then 1.
     """
     from rotcal_history.fleet.bag_search import find_bags
-    from rotcal_history.fleet.batch_solving import Job
-    from rotcal_history.fleet.workers import on_all_cores, on_cluster
+    from rotcal_history.fleet.batch_solving import BagJob
+    from rotcal_history.fleet.workers import run_on_cluster, run_on_cores
     from rotcal_ros.foundation.machine_load import core_count
     from rotcal_ros.foundation.untrusted import require_no_secret
     from rotcal_ros.methods.configuration import read_configuration
@@ -104,14 +104,14 @@ def command(
     found = find_bags(sources)
     cache = (output / "cache").absolute()
     cache.mkdir(parents=True, exist_ok=True)
-    jobs = (Job(bag, configuration, str(cache), verify_bytes) for bag in found)
+    jobs = (BagJob(bag, configuration, str(cache), verify_bytes) for bag in found)
     database = history or str(output.absolute() / HISTORY)
     with keeper.ParkHistory(database) as park:
         if scheduler:
-            running = on_cluster(jobs, scheduler, time_limit_s)
+            running = run_on_cluster(jobs, scheduler, time_limit_s)
         else:
             workers = min(workers or core_count(), len(found))
-            running = on_all_cores(jobs, workers, time_limit_s)
+            running = run_on_cores(jobs, workers, time_limit_s)
         with closing(running):
             bags = _followed(running, len(found))
         _keep(bags, cache, serial, partial(keeper.keep_measurement, park))
@@ -175,7 +175,7 @@ def _followed(running: Iterable[BagOutcome], total: int) -> list[_Bag]:
 
 def _keep(bags: Sequence[_Bag], cache: Path, serial: str, keep: Callable[..., Any]) -> None:
     """Add the results to the history; of the bags of one session that with most observations."""
-    from rotcal_history.fleet.batch_solving import kept_result
+    from rotcal_history.fleet.batch_solving import cached_result
 
     best: dict[str, _Bag] = {}
     good = [bag for bag in bags if not bag.error]
@@ -187,7 +187,7 @@ def _keep(bags: Sequence[_Bag], cache: Path, serial: str, keep: Callable[..., An
             shown(number, len(best))
             folder = PurePosixPath(bag.source).parent.name
             try:
-                result = kept_result(cache, bag.key)
+                result = cached_result(cache, bag.key)
                 added = keep(result, serial.replace(FOLDER, folder), encodable(bag.source))
                 bag.table, bag.entry = added.entry.title, added.entry.id
             except DataError as error:

@@ -22,7 +22,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Final
 
-from rotcal_history.fleet.batch_solving import BagOutcome, Job, solve_bag
+from rotcal_history.fleet.batch_solving import BagJob, BagOutcome, solve_bag
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.machine_load import core_count
 
@@ -38,8 +38,8 @@ _TRIES: Final = 5
 """How often Dask may give up on a bag because its workers died."""
 
 
-def on_all_cores(
-    jobs: Iterable[Job],
+def run_on_cores(
+    jobs: Iterable[BagJob],
     workers: int | None = None,
     time_limit_s: float = TIME_LIMIT_S,
     work: Work = solve_bag,
@@ -51,12 +51,12 @@ def on_all_cores(
     """
     workers = workers or core_count()
     remaining = iter(jobs)
-    crew = [Supervised(work, time_limit_s) for _ in range(workers)]
-    idle: SimpleQueue[Supervised] = SimpleQueue()
+    crew = [SupervisedProcess(work, time_limit_s) for _ in range(workers)]
+    idle: SimpleQueue[SupervisedProcess] = SimpleQueue()
     for member in crew:
         idle.put(member)
 
-    def done(job: Job) -> BagOutcome:
+    def done(job: BagJob) -> BagOutcome:
         member = idle.get()
         try:
             return member.do(job)
@@ -80,13 +80,16 @@ def on_all_cores(
                 member.close()
 
 
-def on_cluster(
-    jobs: Iterable[Job], scheduler: str, time_limit_s: float = TIME_LIMIT_S, work: Work = solve_bag
+def run_on_cluster(
+    jobs: Iterable[BagJob],
+    scheduler: str,
+    time_limit_s: float = TIME_LIMIT_S,
+    work: Work = solve_bag,
 ) -> Generator[BagOutcome, None, None]:
     """Yield the outcomes as the workers of the Dask ``scheduler`` (tcp://...) deliver them.
 
     The workers need rotcal_ros installed and the bags and the cache at the same paths. They may
-    die, come and go; each solves its bags in a process of its own, as :func:`on_all_cores` does.
+    die, come and go; each solves its bags in a process of its own, as :func:`run_on_cores` does.
     Raises ConfigurationError when no scheduler answers, BagError when it goes away.
     """
     try:
@@ -113,15 +116,15 @@ def on_cluster(
 
 
 def _outcomes(
-    client: Any, jobs: Iterator[Job], scheduler: str, time_limit_s: float, work: Work
+    client: Any, jobs: Iterator[BagJob], scheduler: str, time_limit_s: float, work: Work
 ) -> Iterator[BagOutcome]:
     """Hand out jobs a few at a time and yield their outcomes."""
     finished: SimpleQueue[Any] = SimpleQueue()
-    handed: dict[Any, tuple[Job, int]] = {}
+    handed: dict[Any, tuple[BagJob, int]] = {}
     size, asked = 0, -_CENSUS_S
 
-    def hand_out(job: Job, tries: int) -> None:
-        future = client.submit(supervised, job, time_limit_s, work, pure=False)
+    def hand_out(job: BagJob, tries: int) -> None:
+        future = client.submit(run_supervised, job, time_limit_s, work, pure=False)
         handed[future] = (job, tries)
         future.add_done_callback(finished.put)
 
@@ -168,10 +171,10 @@ def _scheduler_gone(scheduler: str) -> BagError:
 _of_thread = threading.local()
 
 
-def supervised(job: Job, time_limit_s: float, work: Work) -> BagOutcome:
+def run_supervised(job: BagJob, time_limit_s: float, work: Work) -> BagOutcome:
     """Do a job in a process that belongs to this thread of a Dask worker, and stays for more."""
-    processes: dict[Any, Supervised] = _of_thread.__dict__.setdefault("processes", {})
-    process = processes.setdefault((work, time_limit_s), Supervised(work, time_limit_s))
+    processes: dict[Any, SupervisedProcess] = _of_thread.__dict__.setdefault("processes", {})
+    process = processes.setdefault((work, time_limit_s), SupervisedProcess(work, time_limit_s))
     return process.do(job)
 
 
@@ -191,7 +194,7 @@ def _outcome(future: Any, source: str) -> BagOutcome:
     return BagOutcome(source, "", error=f"the cluster could not do it: {error!r}")
 
 
-Work = Callable[[Job], BagOutcome]
+Work = Callable[[BagJob], BagOutcome]
 TRIES: Final = 2
 """Deaths of its worker that count against a bag."""
 FROM_OUTSIDE: Final = 5
@@ -205,7 +208,7 @@ _GRACE_S: Final = 30.0
 died."""
 
 
-class Supervised:
+class SupervisedProcess:
     """Does jobs one by one in a process that is started again when it dies.
 
     A job that kills it twice, or takes longer than ``time_limit_s``, becomes an outcome that
@@ -220,7 +223,7 @@ class Supervised:
         self._connection: Connection[Any, Any] | None = None
         self._closed = False
 
-    def do(self, job: Job) -> BagOutcome:
+    def do(self, job: BagJob) -> BagOutcome:
         """Return what became of ``job``."""
         deaths: list[str] = []
         while not (_blamed(deaths) or self._closed):

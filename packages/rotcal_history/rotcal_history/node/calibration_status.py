@@ -13,18 +13,18 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from rotcal_history.database import ParkHistory
-from rotcal_history.outlook import Outlook, park
+from rotcal_history.outlook import Outlook, all_outlooks
 from rotcal_history.settings import HistorySettings
 from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.conversions import header
+from rotcal_ros.nodes.runtime.conversions import make_header
 from rotcal_ros.nodes.runtime.qos import LATCHED
-from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.running import run_node
 
 TOPIC: Final = "calibration_status"
 
 
-def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]:
+def axis_statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]:
     """Return a status for each axis: ERROR to look at, WARN due, else OK."""
     found = []
     for view in outlooks:
@@ -40,10 +40,10 @@ def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]
     return found
 
 
-def outlooks_of(settings: HistorySettings, serial: str) -> list[Outlook]:
+def machine_outlooks(settings: HistorySettings, serial: str) -> list[Outlook]:
     """Return the outlooks of all axes of a machine; of all machines without a serial number."""
     with ParkHistory(settings.database, must_exist=True) as history:
-        return [view for view in park(history, settings) if serial in ("", view.serial)]
+        return [view for view in all_outlooks(history, settings) if serial in ("", view.serial)]
 
 
 class CalibrationStatus(CellNode):
@@ -65,17 +65,19 @@ class CalibrationStatus(CellNode):
 
     def _look(self) -> None:
         if self._asked is None and time.monotonic() >= self._next_s:
-            self._asked = self._worker.submit(outlooks_of, self._settings, self._serial)
+            self._asked = self._worker.submit(machine_outlooks, self._settings, self._serial)
             self._next_s = time.monotonic() + self._settings.period_s
         elif self._asked is not None and self._asked.done():
             asked, self._asked = self._asked, None
             self._state = NodeState(State.FAILED)
-            new = statuses(asked.result(), self.now_ns())
+            new = axis_statuses(asked.result(), self.now_ns())
             self._state = NodeState(State.READY)
             if new != self._published:
                 self._published = new
                 self.get_logger().info(f"reported: {len(new)} tables")
-                self._publisher.publish(DiagnosticArray(header=header(self.now_ns()), status=new))
+                self._publisher.publish(
+                    DiagnosticArray(header=make_header(self.now_ns()), status=new)
+                )
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {"tables": str(len(self._published))}
@@ -83,7 +85,7 @@ class CalibrationStatus(CellNode):
 
 def main() -> None:
     """Run the node."""
-    run(CalibrationStatus)
+    run_node(CalibrationStatus)
 
 
 if __name__ == "__main__":

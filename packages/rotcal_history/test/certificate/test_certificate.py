@@ -13,7 +13,7 @@ import pytest
 from certified import AXIS, IDENTITY, certified, certified_axis
 
 from rotcal_history.certificate import document as written
-from rotcal_history.certificate.document import certificate
+from rotcal_history.certificate.document import make_certificate
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.results import Result
 
@@ -22,7 +22,7 @@ ISSUED = date(2026, 3, 20)
 
 
 def document(result):
-    return ElementTree.fromstring(certificate(result, "Ball plate", ISSUED))
+    return ElementTree.fromstring(make_certificate(result, "Ball plate", ISSUED))
 
 
 def text_of(root, path):
@@ -148,7 +148,7 @@ def test_no_certificate_of_a_result_that_the_data_contradict(verdict):
 
 def test_what_is_ours_is_said_in_german_too_and_what_is_the_users_is_not():
     root = ElementTree.fromstring(
-        certificate(certified(), "Laser tracer, multi-station", date(2026, 3, 4))
+        make_certificate(certified(), "Laser tracer, multi-station", date(2026, 3, 4))
     )
     said = {"en": set(), "de": set()}
     for content in root.iter("{https://ptb.de/dcc}content"):

@@ -7,7 +7,7 @@ from certified import IDENTITY, certified, certified_axis
 from dcc_schema import read_schema
 from lxml import etree
 
-from rotcal_history.certificate.document import REQUIRED, certificate
+from rotcal_history.certificate.document import REQUIRED, make_certificate
 
 ISSUED = date(2026, 3, 20)
 
@@ -35,11 +35,11 @@ NEEDED = {name: IDENTITY[name] for name in REQUIRED} | {
     ids=["plate", "tracer", "axis", "simulated", "least", "blanks"],
 )
 def test_a_certificate_is_valid(schema, result):
-    schema.assertValid(etree.fromstring(certificate(result, "Ball plate", ISSUED)))
+    schema.assertValid(etree.fromstring(make_certificate(result, "Ball plate", ISSUED)))
 
 
 def test_the_schema_notices_what_is_wrong(schema):
-    root = etree.fromstring(certificate(certified(), "Ball plate", ISSUED))
+    root = etree.fromstring(make_certificate(certified(), "Ball plate", ISSUED))
     core = root.find(".//{https://ptb.de/dcc}beginPerformanceDate")
     core.text = "yesterday"
     assert not schema.validate(root)

@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from dcc_schema import read_schema
 from lxml import etree
 
-from rotcal_history.certificate.document import certificate, signed, verify
+from rotcal_history.certificate.document import make_certificate, signed, verify
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 
@@ -43,7 +43,7 @@ def laboratory():
 
 @pytest.fixture(scope="module")
 def document(laboratory):
-    return signed(certificate(certified(), "Ball plate", date(2026, 3, 20)), *laboratory)
+    return signed(make_certificate(certified(), "Ball plate", date(2026, 3, 20)), *laboratory)
 
 
 def test_a_signature_holds(document, laboratory):
@@ -64,11 +64,11 @@ def test_somebody_else_has_not_signed(document):
 
 def test_an_unsigned_certificate_is_refused(laboratory):
     with pytest.raises(DataError, match="does not hold"):
-        verify(certificate(certified(), "Ball plate", date(2026, 3, 20)), laboratory[1])
+        verify(make_certificate(certified(), "Ball plate", date(2026, 3, 20)), laboratory[1])
 
 
 def test_a_key_that_is_none_is_refused(laboratory):
-    plain = certificate(certified(), "Ball plate", date(2026, 3, 20))
+    plain = make_certificate(certified(), "Ball plate", date(2026, 3, 20))
     with pytest.raises(ConfigurationError, match="cannot sign"):
         signed(plain, b"no key", laboratory[1])
 

@@ -6,10 +6,10 @@ import signal
 import time
 from pathlib import Path
 
-from rotcal_history.fleet.batch_solving import BagOutcome, Job, solve_bag
+from rotcal_history.fleet.batch_solving import BagJob, BagOutcome, solve_bag
 
 
-def work(job: Job) -> BagOutcome:
+def work(job: BagJob) -> BagOutcome:
     name = Path(job.source).name
     if name.startswith("segfault"):
         ctypes.string_at(0)
@@ -32,14 +32,14 @@ def work(job: Job) -> BagOutcome:
     return BagOutcome(job.source, name)
 
 
-def solve_unless_deadly(job: Job) -> BagOutcome:
+def solve_unless_deadly(job: BagJob) -> BagOutcome:
     """Solve the bag, but for the one whose folder says that it kills."""
     if "deadly" in job.source:
         os._exit(9)
     return solve_bag(job)
 
 
-def slowly(job: Job) -> BagOutcome:
+def slowly(job: BagJob) -> BagOutcome:
     """Leave time to take the scheduler away."""
     time.sleep(0.3)
     Path(job.cache, Path(job.source).name).touch()

@@ -6,7 +6,7 @@ import pytest
 from fleet_bags import RECORDING, configuration_text
 
 from rotcal_history.fleet.bag_search import find_bags
-from rotcal_history.fleet.batch_solving import Job, solve_bag
+from rotcal_history.fleet.batch_solving import BagJob, solve_bag
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods.configuration import parse_configuration
 
@@ -96,5 +96,5 @@ def test_a_line_that_names_nothing_stays_a_bag_that_cannot_be_read(bags, tmp_pat
     gone = [str(tmp_path / name) for name in ("bags/gone", "empty", "bags/*.nothing")]
     assert found == (str(bags / "one"), *gone)
     for name in gone:
-        outcome = solve_bag(Job(name, CONFIGURATION, str(tmp_path / "cache")))
+        outcome = solve_bag(BagJob(name, CONFIGURATION, str(tmp_path / "cache")))
         assert "does not exist" in outcome.error or "is not a bag" in outcome.error

@@ -20,8 +20,8 @@ from click.testing import CliRunner
 
 from rotcal_history.fleet import batch_solving, workers
 from rotcal_history.fleet.bag_search import find_bags
-from rotcal_history.fleet.batch_solving import Job, solve_bag
-from rotcal_history.fleet.workers import on_all_cores, on_cluster
+from rotcal_history.fleet.batch_solving import BagJob, solve_bag
+from rotcal_history.fleet.workers import run_on_cluster, run_on_cores
 from rotcal_ros.bags import names
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation import plugins
@@ -60,7 +60,7 @@ def fleet(tmp_path_factory):
 @pytest.fixture
 def jobs(fleet, tmp_path):
     configuration = parse_configuration(CONFIGURATION)
-    return [Job(bag, configuration, str(tmp_path)) for bag in find_bags([str(fleet)])]
+    return [BagJob(bag, configuration, str(tmp_path)) for bag in find_bags([str(fleet)])]
 
 
 def by_source(outcomes):
@@ -83,7 +83,7 @@ def test_bags_are_found_in_folders_globs_and_lists(fleet):
 
 @pytest.mark.slow
 def test_each_outcome_equals_the_bag_solved_alone_and_one_bad_bag_stops_nobody(jobs):
-    outcomes = by_source(on_all_cores(jobs, 2))
+    outcomes = by_source(run_on_cores(jobs, 2))
     assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
     assert "is not an MCAP file" in outcomes[-1].error
     for job, outcome in zip(jobs[:3], outcomes[:3], strict=True):
@@ -100,7 +100,7 @@ def test_work_that_is_done_is_not_repeated_until_bag_or_configuration_change(job
     assert [outcome.cached for outcome in again] == [True, True, True, False]
     assert [o.result for o in again] == [o.result for o in first]
     changed = parse_configuration(CONFIGURATION + "\n# another\n")
-    assert not solve_bag(Job(jobs[0].source, changed, str(tmp_path))).cached
+    assert not solve_bag(BagJob(jobs[0].source, changed, str(tmp_path))).cached
 
 
 def test_a_fault_is_told_as_ours_but_that_of_a_plug_in_by_its_name(jobs, tmp_path, monkeypatch):
@@ -127,7 +127,7 @@ def test_a_remote_bag_is_fetched_through_fsspec(fleet, jobs, tmp_path):
         memory.put(str(fleet / f"run_{seed}" / "bag" / "bag_0.mcap"), f"/cell/{seed}.mcap")
     remote = find_bags(["memory://cell/*.mcap"])
     assert len(remote) == 3
-    outcome = solve_bag(Job(remote[0], jobs[0].configuration, str(tmp_path)))
+    outcome = solve_bag(BagJob(remote[0], jobs[0].configuration, str(tmp_path)))
     assert outcome.result == solve_bag(jobs[0]).result
 
 
@@ -166,7 +166,7 @@ def test_a_cluster_that_does_not_answer_is_one_sentence(jobs, monkeypatch):
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
         with pytest.raises(ConfigurationError, match="no Dask scheduler answers"):
-            list(on_cluster(jobs, address))
+            list(run_on_cluster(jobs, address))
 
 
 @pytest.fixture
@@ -202,14 +202,14 @@ def test_a_dask_cluster_gives_the_same_and_its_death_loses_nothing(cluster, jobs
     address, scheduler = cluster
     with Client(address) as client:
         client.wait_for_workers(2, timeout=load_scaled_timeout(60))
-    outcomes = by_source(on_cluster(jobs, address))
+    outcomes = by_source(run_on_cluster(jobs, address))
     assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
     assert not any(outcome.cached for outcome in outcomes)
     for job, outcome in zip(jobs[:3], outcomes[:3], strict=True):
         assert outcome.result == solve_bag(job).result
 
-    many = (Job(f"bag_{n}", jobs[0].configuration, str(tmp_path)) for n in range(10_000))
-    running = on_cluster(many, address, work=deadly_work.slowly)
+    many = (BagJob(f"bag_{n}", jobs[0].configuration, str(tmp_path)) for n in range(10_000))
+    running = run_on_cluster(many, address, work=deadly_work.slowly)
     done = {next(running).source for _ in range(4)}
     scheduler.kill()
     with pytest.raises(BagError, match="went away; what was solved is kept, and"):

@@ -10,8 +10,8 @@ import pytest
 from fleet_bags import configuration_text, write_bag, write_fleet
 
 from rotcal_history.fleet.bag_search import find_bags
-from rotcal_history.fleet.batch_solving import Job, solve_bag
-from rotcal_history.fleet.workers import on_all_cores
+from rotcal_history.fleet.batch_solving import BagJob, solve_bag
+from rotcal_history.fleet.workers import run_on_cores
 from rotcal_ros.methods.configuration import parse_configuration
 
 HERE = Path(__file__).parent
@@ -39,8 +39,8 @@ def kill_one(ended, others):
 def call(folder):
     """Solve all bags, with work that a bag can kill; return the outcomes by source."""
     bags = find_bags([str(folder / "bags")])
-    jobs = [Job(bag, CONFIGURATION, str(folder / "cache")) for bag in bags]
-    outcomes = on_all_cores(jobs, 2, work=deadly_work.solve_unless_deadly)
+    jobs = [BagJob(bag, CONFIGURATION, str(folder / "cache")) for bag in bags]
+    outcomes = run_on_cores(jobs, 2, work=deadly_work.solve_unless_deadly)
     return {outcome.source: outcome for outcome in outcomes}
 
 
@@ -58,7 +58,7 @@ def test_nothing_is_lost_but_the_bag_that_kills(fleet):
     assert "exit code 9" in error
     assert len(first) == BAGS
     one = min(first)
-    alone = solve_bag(Job(one, CONFIGURATION, str(fleet / "alone")))
+    alone = solve_bag(BagJob(one, CONFIGURATION, str(fleet / "alone")))
     assert first[one].result == alone.result
 
     broken = fleet / "cache" / first[one].key[:2] / f"{first[one].key}.json"

@@ -6,7 +6,7 @@ import stat
 import pytest
 from fleet_bags import configuration_text, write_bag
 
-from rotcal_history.fleet.batch_solving import TAIL_BYTES, Job, fingerprint, solve_bag
+from rotcal_history.fleet.batch_solving import TAIL_BYTES, BagJob, fingerprint, solve_bag
 from rotcal_ros.methods.configuration import parse_configuration
 
 CONFIGURATION = parse_configuration(configuration_text())
@@ -53,7 +53,7 @@ def test_size_and_time_are_noticed_unless_all_bytes_are_read(file):
 @pytest.mark.parametrize("harm", ["cut", "changed", "binary"])
 def test_a_broken_entry_is_computed_again_and_mended(tmp_path, harm):
     bag = write_bag(tmp_path / "table" / "run", 1)
-    job = Job(str(bag), CONFIGURATION, str(tmp_path / "cache"))
+    job = BagJob(str(bag), CONFIGURATION, str(tmp_path / "cache"))
     before = os.umask(0o027)
     try:
         first = solve_bag(job)
@@ -84,7 +84,7 @@ def test_a_copy_and_a_repaired_twin_are_the_same_session_and_another_day_is_not(
     repair(torn.parent, tmp_path / "table" / "repaired")
     other = write_bag(tmp_path / "table" / "other", 2)
     sessions = [
-        solve_bag(Job(str(path), CONFIGURATION, str(tmp_path / "cache"))).session
+        solve_bag(BagJob(str(path), CONFIGURATION, str(tmp_path / "cache"))).session
         for path in (bag, torn.parent, tmp_path / "table" / "repaired", other)
     ]
     assert len(set(sessions[:3])) == 1

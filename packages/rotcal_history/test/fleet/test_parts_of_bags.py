@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from test_strange_paths import of_anybody
 
 from rotcal_history.fleet.bag_search import find_bags
-from rotcal_history.fleet.batch_solving import Job, solve_bag
+from rotcal_history.fleet.batch_solving import BagJob, solve_bag
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.recordings.replay import read_recording
 
@@ -23,7 +23,7 @@ def test_a_session_without_one_of_its_files_is_suspect(simulated_run: Run, tmp_p
     write_run(folder, simulated_run, settings, tick_every=200)
     (folder / "bag_7.mcap").unlink()
     recording = read_recording(folder)
-    row = solve_bag(Job(str(folder), recording.configuration, str(tmp_path))).result
+    row = solve_bag(BagJob(str(folder), recording.configuration, str(tmp_path))).result
     assert row is not None
     assert row["verdict"] == "suspect"
     assert row["warnings"] == json.loads(recording.solve().to_json())["warnings"]

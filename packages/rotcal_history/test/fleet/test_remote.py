@@ -12,7 +12,7 @@ import pytest
 from fleet_bags import configuration_text, write_bag
 
 from rotcal_history.fleet.bag_search import find_bags
-from rotcal_history.fleet.batch_solving import Job, solve_bag
+from rotcal_history.fleet.batch_solving import BagJob, solve_bag
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.methods.configuration import parse_configuration
@@ -99,8 +99,8 @@ def test_a_remote_session_is_fetched_once_and_equals_the_local_one(server, tmp_p
     log = server
     bag = write_bag(tmp_path / "table" / "run", 3)
     upload(bag, "once")
-    job = Job("s3://cell/once", CONFIGURATION, str(tmp_path / "remote"))
-    local = solve_bag(Job(str(bag), CONFIGURATION, str(tmp_path / "local")))
+    job = BagJob("s3://cell/once", CONFIGURATION, str(tmp_path / "remote"))
+    local = solve_bag(BagJob(str(bag), CONFIGURATION, str(tmp_path / "local")))
     first = solve_bag(job)
     assert not first.error
     assert first.result == local.result
@@ -119,9 +119,9 @@ def test_a_remote_session_of_several_files_is_solved_whole(tmp_path):
     assert len(list(bag.glob("*.mcap"))) == 2
     upload(bag, "session")
     (session,) = find_bags(["s3://cell/session"])
-    remote = solve_bag(Job(session, CONFIGURATION, str(tmp_path / "remote")))
+    remote = solve_bag(BagJob(session, CONFIGURATION, str(tmp_path / "remote")))
     whole = write_bag(tmp_path / "table" / "whole", 5)
-    local = solve_bag(Job(str(whole), CONFIGURATION, str(tmp_path / "local")))
+    local = solve_bag(BagJob(str(whole), CONFIGURATION, str(tmp_path / "local")))
     assert not remote.error
     assert remote.result == local.result
 

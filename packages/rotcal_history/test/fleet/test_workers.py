@@ -9,8 +9,8 @@ import deadly_work
 import psutil
 import pytest
 
-from rotcal_history.fleet.batch_solving import Job
-from rotcal_history.fleet.workers import on_all_cores
+from rotcal_history.fleet.batch_solving import BagJob
+from rotcal_history.fleet.workers import run_on_cores
 
 HERE = Path(__file__).parent
 
@@ -21,14 +21,14 @@ def _workers_find_the_work(monkeypatch):
 
 
 def jobs(folder, *sources):
-    return [Job(source, None, str(folder)) for source in sources]
+    return [BagJob(source, None, str(folder)) for source in sources]
 
 
 @pytest.mark.slow
 def test_each_bag_that_kills_its_worker_is_set_aside_and_costs_nobody_else(tmp_path):
     deadly = ["segfault", "exit", "hang", "once", "killed"]
     names = [*(f"good_{n}" for n in range(3)), *deadly, *(f"good_{n}" for n in range(3, 6))]
-    outcomes = on_all_cores(jobs(tmp_path, *names), 2, 1.0, deadly_work.work)
+    outcomes = run_on_cores(jobs(tmp_path, *names), 2, 1.0, deadly_work.work)
     errors = {outcome.source: outcome.error for outcome in outcomes}
     assert set(errors) == set(names)
     assert errors.pop("segfault") == "set aside: the worker crashed 2 times (SIGSEGV) on this bag"
@@ -40,7 +40,7 @@ def test_each_bag_that_kills_its_worker_is_set_aside_and_costs_nobody_else(tmp_p
 @pytest.mark.slow
 def test_no_process_is_left_behind_when_the_reader_stops_early(tmp_path):
     others = psutil.Process().children()  # of earlier tests, such as a server of forks
-    running = on_all_cores(jobs(tmp_path, "good", "hang_1", "hang_2"), 2, 60.0, deadly_work.work)
+    running = run_on_cores(jobs(tmp_path, "good", "hang_1", "hang_2"), 2, 60.0, deadly_work.work)
     assert next(running).source == "good"
     mine = [process for process in psutil.Process().children() if process not in others]
     assert mine
@@ -57,7 +57,7 @@ def test_jobs_are_taken_as_they_are_needed(tmp_path):
             taken.append(len(taken))
             yield from jobs(tmp_path, f"good_{len(taken)}")
 
-    running = on_all_cores(endless(), 2, work=deadly_work.work)
+    running = run_on_cores(endless(), 2, work=deadly_work.work)
     for _ in range(10):
         next(running)
     running.close()
@@ -68,10 +68,10 @@ def test_jobs_are_taken_as_they_are_needed(tmp_path):
 def test_a_worker_outlives_neither_its_supervisor_nor_the_bag_that_hangs(tmp_path):
     script = (
         "import deadly_work\n"
-        "from rotcal_history.fleet.batch_solving import Job\n"
-        "from rotcal_history.fleet.workers import on_all_cores\n"
-        f"jobs = [Job('good', None, {str(tmp_path)!r})] * 10**6\n"
-        "for outcome in on_all_cores(jobs, 1, 1.0, deadly_work.work):\n"
+        "from rotcal_history.fleet.batch_solving import BagJob\n"
+        "from rotcal_history.fleet.workers import run_on_cores\n"
+        f"jobs = [BagJob('good', None, {str(tmp_path)!r})] * 10**6\n"
+        "for outcome in run_on_cores(jobs, 1, 1.0, deadly_work.work):\n"
         "    print(outcome.source, flush=True)\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE)

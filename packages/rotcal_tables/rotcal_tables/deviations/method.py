@@ -40,7 +40,7 @@ from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder, 
 from rotcal_ros.methods.method import Method, TableReader
 from rotcal_ros.planning.plan import Plan, numbered_steps
 from rotcal_ros.planning.readings import Readings
-from rotcal_ros.planning.table_angles import table_angles, visits
+from rotcal_ros.planning.table_angles import planned_arrivals, table_angles
 from rotcal_tables.deviations.settings import (
     DeviationPlanSettings,
     DeviationSimulationSettings,
@@ -65,7 +65,7 @@ def plan(configuration: Configuration) -> Plan:
     """Return the plan: one reading at each arrival; raises PlanError for angles that descend."""
     settings: DeviationPlanSettings = configuration.plan
     angles = table_angles(settings)
-    every = visits(len(angles), settings.runs, settings.bidirectional)
+    every = planned_arrivals(len(angles), settings.runs, settings.bidirectional)
     stops = tuple(angles[visit.target] for visit in every)
     steps = numbered_steps(
         ((position, 0, 0) for position in range(len(every))), stops, ((0.0, 0.0, 0.0),),

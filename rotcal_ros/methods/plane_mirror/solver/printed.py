@@ -32,7 +32,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.geometry.rotations import align, wrap_angle
+from rotcal_ros.geometry.rotations import fit_rigid_transform, wrap_angle
 from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.solver.problem import MirrorPairs, Nests, PointLayout, Sets
 
@@ -119,7 +119,7 @@ def placed_stations(points: Floats, nests: Nests, count: int) -> Poses:
         mean = np.stack([points[..., rows, :].mean(axis=-2) for rows in of_own], axis=-2)
         if station:
             both = seen[own]
-            turn, shift = align(mean[..., both, :], known[..., own[both], :])
+            turn, shift = fit_rigid_transform(mean[..., both, :], known[..., own[both], :])
             poses.rotation[..., station, :, :], poses.place[..., station, :] = turn, shift
         placed = poses.placed(mean, np.full(len(own), station))
         known[..., own[~seen[own]], :] = placed[..., ~seen[own], :]

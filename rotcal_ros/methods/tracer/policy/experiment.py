@@ -26,7 +26,7 @@ from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem, station_minimum
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.readings import time_order
+from rotcal_ros.planning.readings import time_ranks
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ class MeasuredLengths:
 
     def time_order(self) -> Ints:
         """Return the rank (k,) in time of each of the ``observations``."""
-        return time_order(self.observations)
+        return time_ranks(self.observations)
 
     @property
     def steps(self) -> set[int]:

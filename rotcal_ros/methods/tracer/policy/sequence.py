@@ -33,7 +33,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.methods.tracer.solver.prediction import Prediction, predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.planning.sequence_time import duration
+from rotcal_ros.planning.sequence_time import sequence_duration
 
 Blocks = Callable[[Ints], Ints]
 CLOSED: Final = "closed"
@@ -286,7 +286,7 @@ def _judged(
     forecast: Callable[[Ints], Forecast] | None,
 ) -> MeasuringOrder:
     judged = None if forecast is None else forecast(order)
-    return MeasuringOrder(name, order, duration(costs, order), bound, judged)
+    return MeasuringOrder(name, order, sequence_duration(costs, order), bound, judged)
 
 
 def nearest_next(costs: Floats, first: int = 0) -> Ints:
@@ -303,14 +303,14 @@ def nearest_next(costs: Floats, first: int = 0) -> Ints:
 def improved(costs: Floats, order: Ints, kicks: int = 0, seed: int = 0) -> Ints:
     """Return a shorter path than ``order`` (k,), or itself; ``kicks`` say how long to try."""
     best = _settled(costs, np.array(order))
-    shortest, rng = duration(costs, best), np.random.default_rng(seed)
+    shortest, rng = sequence_duration(costs, best), np.random.default_rng(seed)
     if len(order) < 8:
         return best
     for _ in range(kicks):
         a, b, c = np.sort(rng.choice(np.arange(1, len(best)), 3, replace=False))
         kicked = np.concatenate([best[:a], best[b:c], best[a:b], best[c:]])
         kicked = _settled(costs, kicked)
-        if (time := duration(costs, kicked)) < shortest - LEAST_GAIN:
+        if (time := sequence_duration(costs, kicked)) < shortest - LEAST_GAIN:
             best, shortest = kicked, time
     return best
 

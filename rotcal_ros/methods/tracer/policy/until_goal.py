@@ -51,8 +51,8 @@ from rotcal_ros.methods.tracer.policy.sequence import (
     least_hidden,
     measuring_orders,
 )
-from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
-from rotcal_ros.planning.sequence_time import stated_time
+from rotcal_ros.planning.choices import PolicyProgress, StepChoice, StepOutcome
+from rotcal_ros.planning.sequence_time import constant_time_model
 
 RESERVE: Final = 0.75
 """The first sweep aims so far below the goal: a few lengths more show the noise better, and save
@@ -63,7 +63,7 @@ NEARLY: Final = 1.02
 """The order of the steps changes what the solver allows for slips by no more."""
 DOUBTED: Final = 0.9
 """Share of what is planned that is aimed at next, where a result is not believed yet."""
-NOWHERE: Final = Standing(0)
+NOWHERE: Final = PolicyProgress(0)
 POOR_CHANCE: Final = 0.5
 """A planned step with a smaller chance gives way to a better one at the same station."""
 UNKNOWN: Final = 1e-3
@@ -169,21 +169,21 @@ class UntilGoal:
         reached = found <= NEARLY * reserve * goal
         return first if reached else first_sweep(self._experiment, goal)
 
-    def choose(self) -> Choice:
+    def choose(self) -> StepChoice:
         """Return the next step, or why nothing more is measured."""
         found = self._next()
-        return Choice(found.step, found.reason, self._standing())
+        return StepChoice(found.step, found.reason, self._standing())
 
-    def _next(self) -> Choice:
+    def _next(self) -> StepChoice:
         """Return the choice without its standing."""
         if self._stop is not None:
             closed = self._closing.describe()
             why = join_texts([self._stop, closed], "") if closed else self._stop
-            return Choice(None, why, NOWHERE)
+            return StepChoice(None, why, NOWHERE)
         step, reason = self._queue[0]
         if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
             step, reason = self._queue[0] = self._better_than(step, reason)
-        return Choice(step, reason, NOWHERE)
+        return StepChoice(step, reason, NOWHERE)
 
     def note(self, outcome: StepOutcome) -> None:
         """Take notice of a length, or of a step that was given up."""
@@ -233,10 +233,10 @@ class UntilGoal:
             self._now, self._best = None, math.nan
         return self._result
 
-    def _standing(self) -> Standing:
+    def _standing(self) -> PolicyProgress:
         now = self._uncertainty() if self._result is None else self._result.uncertainty
         known = now if now < UNKNOWN else math.nan
-        return Standing(len(self._queue), known, self._goal)
+        return PolicyProgress(len(self._queue), known, self._goal)
 
     def _plan_further(self) -> Phrase | None:
         """Queue what is needed next; or return why nothing is."""
@@ -447,7 +447,7 @@ def drift_proof_sweep(of: LengthExperiment, steps: list[int]) -> Sweep:
         return Sweep(tuple(_as_sweep(of, steps, None)), np.inf, np.inf)
     rows = np.array(_as_sweep(of, steps, None))
     position, target = of.position[rows], of.target[rows]
-    time = stated_time(of.costs.turn_s, of.costs.step_s)
+    time = constant_time_model(of.costs.turn_s, of.costs.step_s)
     costs = time.costs(of.scene.table_angles, of.scene.targets, position, target)
     forecast = SequenceForecast(of.posed(of.nothing, 1.0, rows))
     # whole sweeps only: what is added later has to find each position early and late alike

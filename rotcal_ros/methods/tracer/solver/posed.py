@@ -71,7 +71,7 @@ from rotcal_ros.methods.tracer.solver.problem import (
 )
 from rotcal_ros.methods.tracer.solver.reported import along_beams
 from rotcal_ros.methods.tracer.solver.start import find_any_start, fit_zeros
-from rotcal_ros.planning.readings import passes
+from rotcal_ros.planning.readings import pass_numbers
 
 SAME_ANGLE_DIFFERS: Final = noted("stations {0} and {1} stand at the same table angle but differ")
 
@@ -500,7 +500,7 @@ def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
     spin = (cross_matrix(lengths.axes[None, :, 2])[0] @ arms.T).T[lengths.target] / reach
     turning = (toward * spin).sum(axis=1)[:, None]
     machine = np.hstack([toward, turning])
-    again = passes(lengths.place, lengths.position, lengths.order)
+    again = pass_numbers(lengths.place, lengths.position, lengths.order)
     returning = np.hstack([machine * shape[:, None] for shape in recurring(again, when).T])
     gone = drifts(once, when)
     each = slips = list[Disturbing]()

@@ -51,7 +51,7 @@ class Prediction:
         timed = replace(lengths, order=order[lengths.row])
         limits = limits_of(self.posed.problem.settings)
         each, std = limits.of_each_effect(self.fit.model), np.sqrt(self.covariance.diagonal())
-        closed = [ClosureTest(self.fit, known, 1.0, np.inf) for known in self.fit.model.closures]
+        closed = [ClosureTest(self.fit, known) for known in self.fit.model.closures]
         found = dict[Effect, LargestUndetected]()
         unbroken = self.posed.problem.segment is not None
         for effect in effects_of(timed, unbroken=unbroken):

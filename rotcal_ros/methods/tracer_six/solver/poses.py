@@ -17,7 +17,11 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.geometry.rotations import align, rotation_about_z, rotation_from_vector
+from rotcal_ros.geometry.rotations import (
+    fit_rigid_transform,
+    rotation_about_z,
+    rotation_from_vector,
+)
 from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM
 from rotcal_ros.methods.tracer.solver.start import fit_zeros, fullest_strips, start_candidates
 from rotcal_ros.methods.tracer_six.solver.problem import (
@@ -172,7 +176,7 @@ def _poses(
         here = np.flatnonzero((layout.position == i) & near)
         own = places[layout.place[here]]
         if lost_direction(own) is None:
-            rotation[i], translation[i] = align(own, stations[here])
+            rotation[i], translation[i] = fit_rigid_transform(own, stations[here])
     return rotation, translation
 
 

@@ -21,7 +21,12 @@ from rotcal_ros.methods.tracer.policy.sequence import (
     nearest_next,
     shortest_possible,
 )
-from rotcal_ros.planning.sequence_time import Drive, TimeModel, duration, stated_time
+from rotcal_ros.planning.sequence_time import (
+    Drive,
+    TimeModel,
+    constant_time_model,
+    sequence_duration,
+)
 
 DEMO = Path(__file__).parents[4] / "config" / "tracer_paper.yaml"
 M, N = 11, 24
@@ -75,10 +80,12 @@ def test_the_papers_times_are_those_of_its_order():
     """704 lengths of 5 s; all targets of a station first: ten turns of 10 s in between."""
     position, target = np.divmod(np.arange(704), 64)
     targets = np.random.default_rng(0).uniform(0.0, 0.6, (64, 3))
-    costs = stated_time(10.0, 5.0).costs(ANGLES, targets, position, target)
-    assert duration(costs, np.arange(704)) == pytest.approx(703 * 5.0 + 10 * 10.0, abs=0.01)
+    costs = constant_time_model(10.0, 5.0).costs(ANGLES, targets, position, target)
+    assert sequence_duration(costs, np.arange(704)) == pytest.approx(
+        703 * 5.0 + 10 * 10.0, abs=0.01
+    )
     by_target = np.lexsort((position, target))
-    assert duration(costs, by_target) == pytest.approx(703 * 15.0, abs=0.01)
+    assert sequence_duration(costs, by_target) == pytest.approx(703 * 15.0, abs=0.01)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -86,15 +93,15 @@ def test_it_finds_the_shortest_of_all_permutations(seed):
     rng = np.random.default_rng(seed)
     position, target, targets = rng.integers(0, M, 8), np.arange(8), rng.uniform(0.0, 1.0, (8, 3))
     costs = MODEL.costs(ANGLES, targets, position, target)
-    shortest = min(duration(costs, np.array(way)) for way in permutations(range(8)))
+    shortest = min(sequence_duration(costs, np.array(way)) for way in permutations(range(8)))
     found = improved(costs, nearest_next(costs), kicks=30, seed=seed)
     assert sorted(found) == list(range(8))
-    assert duration(costs, found) == pytest.approx(shortest, rel=1e-12)
+    assert sequence_duration(costs, found) == pytest.approx(shortest, rel=1e-12)
 
 
 def test_nothing_beats_the_spanning_tree():
     costs = np.random.default_rng(5).uniform(1.0, 10.0, (7, 7))
-    shortest = min(duration(costs, np.array(way)) for way in permutations(range(7)))
+    shortest = min(sequence_duration(costs, np.array(way)) for way in permutations(range(7)))
     assert 6.0 <= shortest_possible(costs) <= shortest
 
 
@@ -102,8 +109,8 @@ def test_a_plan_of_110_lengths_comes_near_the_bound():
     position, target, targets = paper_plan(10)
     costs = MODEL.costs(ANGLES, targets, position, target)
     found = improved(costs, nearest_next(costs), kicks=5)
-    listed = duration(costs, np.arange(110))
-    assert duration(costs, found) < 1.08 * shortest_possible(costs) < 0.75 * listed
+    listed = sequence_duration(costs, np.arange(110))
+    assert sequence_duration(costs, found) < 1.08 * shortest_possible(costs) < 0.75 * listed
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +124,7 @@ def competing():
     calibration = prepare(configuration)
     noisy = calibration.measured({}, seed=1).observations
     posed = problem(configuration, calibration.plan, noisy)
-    costs = stated_time(10.0, 5.0).costs(ANGLES, targets, position, target)
+    costs = constant_time_model(10.0, 5.0).costs(ANGLES, targets, position, target)
     ways = measuring_orders(position, target, costs, SequenceForecast(posed))
     return calibration, position, costs, ways
 
@@ -138,7 +145,7 @@ def test_every_order_measures_every_length(competing):
     ]
     for way in ways:
         assert sorted(way.order) == list(range(110))
-        assert way.seconds == pytest.approx(duration(costs, way.order))
+        assert way.seconds == pytest.approx(sequence_duration(costs, way.order))
         assert way.bound <= way.seconds
 
 

@@ -13,7 +13,7 @@ from rotcal_ros.methods.tracer.policy.until_goal import UntilGoal, first_sweep
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solve import solve
-from rotcal_ros.planning.choices import AsListed, StepOutcome
+from rotcal_ros.planning.choices import ListedPolicy, StepOutcome
 
 GOAL = figures.GOAL
 LOW, HIGH = (0.90, 0.99) if LONG else (share(0.95, 33)[0], 1.0)
@@ -324,7 +324,7 @@ def test_a_drift_that_looks_like_noise_does_not_measure_for_ever(of):
 
 
 def test_as_listed_is_the_order_of_the_list():
-    policy = AsListed((4, 2, 7))
+    policy = ListedPolicy((4, 2, 7))
     policy.note(StepOutcome(9, None))  # what a pause measured again
     steps = []
     while (choice := policy.choose()).step is not None:
