@@ -19,7 +19,8 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.session_verdict import judge_session
-from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.dataframes import arrow
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import naming, sync_folder
 
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
@@ -215,15 +216,3 @@ def _file_name(topic: str, taken: set[str]) -> str:
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", topic.strip("/"))[:100] or "topic"
     names = (f"{stem}_{n}.parquet" if n else f"{stem}.parquet" for n in count())
     return next(name for name in names if name not in taken)
-
-
-def arrow() -> tuple[Any, Any]:
-    """Return pyarrow and its Parquet half; ConfigurationError where it is not installed."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise ConfigurationError(
-            "Parquet needs pyarrow: pip install 'rotcal_ros[parquet]'"
-        ) from error
-    return pa, parquet

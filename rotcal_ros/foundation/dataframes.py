@@ -8,6 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.foundation.errors import ConfigurationError
+
 _NAMES: Final = {"angles": "angle_rad", "targets": "angle_rad"}
 
 
@@ -18,6 +20,16 @@ def dataframe(columns: Mapping[str, Any]) -> Any:
     except ImportError as error:
         raise ImportError("to_dataframe() needs pandas: pip install pandas") from error
     return pandas.DataFrame(columns)
+
+
+def arrow() -> tuple[Any, Any]:
+    """Return pyarrow and its Parquet half; ConfigurationError where it is not installed."""
+    try:
+        return import_module("pyarrow"), import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise ConfigurationError(
+            "Parquet needs pyarrow: pip install 'rotcal_ros[parquet]'"
+        ) from error
 
 
 class ByAngle:

@@ -23,7 +23,7 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings, folded
 from rotcal_ros.foundation.table_reading import FormReader, Known, Reading
-from rotcal_ros.foundation.tables import Header, Table, read_own_form
+from rotcal_ros.foundation.tables import Header, Table, parquet_as_table, read_own_form
 from rotcal_ros.foundation.untrusted import is_plain_file, load_yaml, read_errors_as, read_text
 
 FILE: Final = "table_forms.yaml"
@@ -54,6 +54,7 @@ def read_any(
     for a table that is not of our own form. Raises BagError for a file that is no table,
     DataError, with what to do, where something can be read in two ways or not at all.
     """
+    source = parquet_as_table(source)
     own = read_own_form(source, headers)
     if own is not None:
         return Reading(own)

@@ -18,11 +18,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.foundation import untrusted
+from rotcal_ros.foundation.dataframes import arrow
 from rotcal_ros.foundation.errors import BagError, DataError
 
 Header = tuple[str, ...]
 
 _WORKBOOKS: Final = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+PARQUET: Final = ".parquet"
+_MOST_CELLS: Final = 20_000_000
+"""Of a Parquet file, which may unpack to far more than it has bytes."""
 _TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", ".asc", ".prn", "")
 _OTHERS: Final = (".mcap", ".db3", ".zstd", ".json", ".yaml", ".yml", ".html")
 """Endings of files that are not tables."""
@@ -126,7 +130,7 @@ class Table:
 def is_table(path: Path) -> bool:
     """Return whether ``path`` is a table: a workbook, or a text with several columns."""
     ending = path.suffix.lower()
-    if ending == ".csv" or ending in _WORKBOOKS:
+    if ending in (".csv", PARQUET) or ending in _WORKBOOKS:
         return True
     if ending in _OTHERS or not untrusted.is_plain_file(path):
         return False
@@ -191,6 +195,26 @@ def read_table(path: Path) -> Table:
         for cells in csv_rows(line, f"{path}, row {number}")
     ]
     return Table(path, lines[0][1] if lines else (), tuple(lines[1:]))
+
+
+def parquet_as_table(source: Path | Table) -> Path | Table:
+    """Return a Parquet file as its table, everything else as it is.
+
+    Raises BagError for one that cannot be read, ConfigurationError without pyarrow.
+    """
+    if isinstance(source, Table) or source.suffix.lower() != PARQUET:
+        return source
+    pa, parquet = arrow()
+    try:
+        with untrusted.open_plain(source) as raw, parquet.ParquetFile(raw) as file:
+            known = file.metadata
+            if known.num_rows * known.num_columns > _MOST_CELLS:
+                raise BagError(f"{source} has {known.num_rows} rows, too many for a table")
+            columns = file.read().to_pydict()
+    except (OSError, pa.ArrowException) as error:
+        raise BagError(f"cannot read the table {source}: {error}") from error
+    lines = enumerate(tuple(map(_cell, row)) for row in zip(*columns.values(), strict=True))
+    return Table(source, tuple(columns), tuple(lines))
 
 
 def csv_rows(text: str, name: str) -> Iterator[list[str]]:

@@ -22,6 +22,7 @@ from rotcal_ros.foundation.tables import (
     has_own_form,
     is_table,
     is_workbook,
+    parquet_as_table,
     read_own_form,
     table_hashes,
 )
@@ -97,6 +98,7 @@ def read_measurements(
     columns, ConfigurationError for a set-up without plan, DataError when the content cannot be
     what it should be or can be read in two ways.
     """
+    source = parquet_as_table(source)
     path, method = source.path if isinstance(source, Table) else source, configuration.method
     if method.table is None:
         raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")
@@ -209,7 +211,9 @@ def _targets(
         name = given.path if isinstance(given, Table) else given
         return read_targets(given, header, own), (phrase("targets of {0}", str(name)),)
     if isinstance(source, Table):
-        return None, ()
+        if source.in_memory:
+            return None, ()
+        source = source.path
     found = {
         path: read_targets(path, header, own)
         for path in sorted(filter(is_table, source.parent.glob(f"{TARGETS_FILE}.*")))

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from rotcal_history.database import HistoryEntry, ParkHistory
 from rotcal_history.outlook import Outlook
-from rotcal_ros.bags.parquet import arrow
 from rotcal_ros.foundation.arrays import std_of
+from rotcal_ros.foundation.dataframes import arrow
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.files import replace_atomically

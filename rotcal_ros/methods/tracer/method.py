@@ -261,6 +261,7 @@ METHOD: Final = Method(
         again={"order": TARGETS_PER_STATION},
         with_angles=(*turning_table.HEADERS, *turning_readings.HEADERS),
     ),
+    of_turns=turning_readings.of_streams,
     figures=plugins.lazy_load("rotcal_ros.methods.tracer.figures:figures"),
     tables=plugins.lazy_load("rotcal_ros.methods.tracer.figures:tables"),
     disturbances=plugins.lazy_load("rotcal_ros.methods.tracer.simulation:DISTURBANCES"),

@@ -1,8 +1,9 @@
-"""Readings of a tracer on a table that turned, as a table: ``time_s,angle_deg,length_m[,target]``.
+"""Readings of a tracer on a table that turned: of a table, or of streams without orders.
 
-Each row is one reading, and where the feedback of the table was at that moment; an empty length
-is a broken beam. Turns are found by themselves: one goes from before the first angle to behind the
-last, or back, at one of the speeds if they are stated. Readings become lengths as live ones do.
+The columns are ``time_s,angle_deg,length_m[,target]``. Each row is one reading, and where the
+feedback of the table was at that moment; an empty length is a broken beam. Turns are found by
+themselves: one goes from before the first angle to behind the last, or back, at one of the speeds
+if they are stated. Readings become lengths as live ones do.
 """
 
 from __future__ import annotations
@@ -14,10 +15,16 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.capture.passage import Passage, reduce_passing_lengths, why_no_reading_counts
-from rotcal_ros.capture.window import ReadingFault, ReducedWindow
+from rotcal_ros.capture.passage import (
+    Passage,
+    missing_readings,
+    reduce_passing_lengths,
+    why_no_reading_counts,
+)
+from rotcal_ros.capture.unordered import UnorderedStreams
+from rotcal_ros.capture.window import SEQUENCE, ReadingFault, ReducedWindow
 from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.language import NOTHING
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.tables import Header, Table, table_hashes
@@ -26,7 +33,14 @@ from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import LATEST_S, TIME, PlannedMeasurements
 from rotcal_ros.methods.tracer.lengths import LengthCheck
-from rotcal_ros.methods.tracer.turning_table import AS_STATED, planned, run_of, speeds_of, stated
+from rotcal_ros.methods.tracer.turning_table import (
+    AS_STATED,
+    places_stated,
+    planned,
+    run_of,
+    speeds_of,
+    stated,
+)
 from rotcal_ros.planning.plan import Point, Step
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -39,16 +53,20 @@ _LEAST: Final = 3
 
 @dataclass(frozen=True, eq=False)
 class _RawReadings:
-    """All readings of a ``table``, (n,): seconds, degrees without a wrap, metres, and targets.
+    """All readings of a ``source``, (n,): stamps, ns, and degrees without a wrap.
 
-    A length is nan where the beam was broken; ``target`` is None where no column names it.
+    ``values`` (n, 3) are those of an admitted tracer stream. ``beam``: how often the zero of the
+    lengths was lost before. ``target`` is None where nothing names it. ``begin_ns``: from when on
+    seconds count for people.
     """
 
-    table: Table
-    time: Floats
+    source: str
+    stamps: Stamps
     angle_deg: Floats
-    length: Floats
-    target: Ints | None
+    values: Floats
+    beam: Ints
+    target: Ints | None = None
+    begin_ns: int = 0
 
     @classmethod
     def of(cls, table: Table) -> _RawReadings:
@@ -65,7 +83,20 @@ class _RawReadings:
         if np.abs(time[[0, -1]]).max() > LATEST_S:
             raise DataError(f"{table.path}: {TIME} is {time[-1]:g} s; are these milliseconds?")
         whole = np.unwrap(angle, period=_TURN_DEG)
-        return cls(table, time, whole, length, None if target is None else np.array(target))
+        dark = np.isnan(length)
+        fault = np.where(dark, ReadingFault.BEAM_BROKEN, ReadingFault.NONE)
+        return cls(
+            str(table.path),
+            np.round(time / NANOSECOND).astype(np.int64),
+            whole,
+            np.column_stack([np.arange(len(time)), length, fault]),
+            np.cumsum(dark),
+            None if target is None else np.array(target),
+        )
+
+    def seconds(self, rows: slice) -> Floats:
+        """Return when ``rows`` were read."""
+        return np.asarray((self.stamps[rows] - self.begin_ns) * NANOSECOND)
 
     def about(self, middle_deg: float) -> _RawReadings:
         """Return them with angles, whole turns apart, as near to ``middle_deg`` as can be."""
@@ -91,7 +122,31 @@ def read(
     ``targets``: in place of the plan's. Without angles in the set-up, a whole turn by degrees.
     Raises DataError where there are no turns, or none knows which targets they are of.
     """
-    readings, passing = _RawReadings.of(table), configuration.plan.passing_deg
+    calibration, observations = _lengths(configuration, _RawReadings.of(table), targets)
+    return PlannedMeasurements(calibration, observations, table_hashes(table))
+
+
+def of_streams(
+    configuration: Configuration, streams: UnorderedStreams, source: str
+) -> PlannedMeasurements:
+    """Return the lengths at the table angles of streams that nobody ordered, as :func:`read`."""
+    if not places_stated(configuration):
+        raise ConfigurationError(
+            f"{source} needs the places of its targets, and {configuration.source} states none: "
+            "state plan.targets_m, targets_file, or box_centre_m, box_size_m and box_points"
+        )
+    stamps, angle, values, beam = streams.readings(configuration.capture)
+    readings = _RawReadings(
+        source, stamps, angle / DEGREE, values, beam, begin_ns=int(stamps[:1].sum())
+    )
+    return PlannedMeasurements(*_lengths(configuration, readings, ()))
+
+
+def _lengths(
+    configuration: Configuration, readings: _RawReadings, targets: tuple[Point, ...]
+) -> tuple[Calibration, tuple[Observation, ...]]:
+    """Return the plan that readings show, and its lengths."""
+    passing = configuration.plan.passing_deg
     wanted = _wanted(configuration, readings)
     readings = readings.about(0.5 * (wanted[0] + wanted[-1]))
     found = _turns(readings, wanted[0] - passing, wanted[-1] + passing)
@@ -103,20 +158,19 @@ def read(
     found = _with_targets(found, readings, len(calibration.plan.targets), len(speeds))
     steps = {(s.station, s.table_position, s.target): s for s in calibration.plan.steps if s.turn}
     check, observations = LengthCheck(calibration.plan), list[Observation]()
-    attempts, segment = Counter[tuple[int, int]](), 0
-    for turn in found:
-        place = f"{table.path}, from {readings.time[turn.rows][0]:.6g} s on"
+    attempts = Counter[tuple[int, int]]()
+    for number, turn in enumerate(found):
+        place = f"{readings.source}, from {readings.seconds(turn.rows)[0]:.6g} s on"
         run = run_of(turn.speed, turn.speed, place, speeds)
         count = len(wanted)
         sense = 1 if turn.speed > 0.0 else -1
         passed = [steps[run, k, turn.target] for k in range(count)][::sense]
         for step in passed:
-            seen = _observed(readings, turn, step, calibration, segment)
+            seen = _observed(readings, turn, step, calibration, number)
             seen = replace(seen, attempt=attempts[run, turn.target])
             observations.append(check(seen))
         attempts[run, turn.target] += 1
-        segment += 1 + int(np.isnan(readings.length[turn.rows]).sum())
-    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
+    return calibration, tuple(observations)
 
 
 def _alike(own: float, stated_deg_s: float) -> bool:
@@ -131,7 +185,7 @@ def _wanted(configuration: Configuration, readings: _RawReadings) -> Floats:
     least, most = float(readings.angle_deg.min()), float(readings.angle_deg.max())
     if most - least < _TURN_DEG + 2.0 * configuration.plan.passing_deg:
         raise DataError(
-            f"{readings.table.path}: the table turned from {least:.4g} to {most:.4g} deg, which "
+            f"{readings.source}: the table turned from {least:.4g} to {most:.4g} deg, which "
             "is no whole turn: at which angles are lengths wanted? State plan.table_start_deg, "
             "table_step_deg and table_positions"
         )
@@ -149,11 +203,11 @@ def _turns(readings: _RawReadings, first_deg: float, last_deg: float) -> list[_F
         rows = slice(int(outside[at]), int(outside[at + 1]) + 1)
         if rows.stop - rows.start < _LEAST:
             continue
-        time, way = readings.time[rows], angle[rows]
+        time, way = readings.seconds(rows), angle[rows]
         found.append(_FoundTurn(rows, float((way[-1] - way[0]) / (time[-1] - time[0])), -1))
     if not found:
         raise DataError(
-            f"{readings.table.path}: the table never turned from {first_deg:g} to {last_deg:g} "
+            f"{readings.source}: the table never turned from {first_deg:g} to {last_deg:g} "
             f"deg or back, it went from {angle.min():.4g} to {angle.max():.4g} deg: correct the "
             "angles that the plan wants, or plan.passing_deg"
         )
@@ -167,7 +221,7 @@ def _with_targets(
     if readings.target is None:
         if len(found) != targets * speeds:
             raise DataError(
-                f"{readings.table.path}: found {len(found)} turns, expected one at each of "
+                f"{readings.source}: found {len(found)} turns, expected one at each of "
                 f"{speeds} speeds for each of {targets} targets: which target was which turn of? "
                 "Add a column target"
             )
@@ -177,7 +231,7 @@ def _with_targets(
         numbers = np.unique(readings.target[turn.rows])
         if len(numbers) > 1 or numbers[0] >= targets:
             raise DataError(
-                f"{readings.table.path}: the turn from {readings.time[turn.rows][0]:.6g} s on is "
+                f"{readings.source}: the turn from {readings.seconds(turn.rows)[0]:.6g} s on is "
                 f"of target {', '.join(map(str, numbers.tolist()))}, expected one of 0 to "
                 f"{targets - 1}"
             )
@@ -186,26 +240,27 @@ def _with_targets(
 
 
 def _observed(
-    readings: _RawReadings, turn: _FoundTurn, step: Step, calibration: Calibration, segment: int
+    readings: _RawReadings, turn: _FoundTurn, step: Step, calibration: Calibration, number: int
 ) -> Observation:
-    """Return what readings beside its angle make of a ``step``; judged as in a live cell."""
+    """Return what readings beside its angle make of a ``step``; judged as in a live cell.
+
+    ``number`` of the turn, each of which has a zero of its own.
+    """
     settings, sense = calibration.configuration.capture, float(np.sign(turn.speed))
     ahead = sense * (readings.angle_deg[turn.rows] * DEGREE - step.table_angle)
     at = int(np.flatnonzero(ahead >= 0.0)[0])
     first = int(np.flatnonzero(ahead[:at] <= -step.passing)[-1])
     last = at + int(np.flatnonzero(ahead[at:] >= step.passing)[0])
     rows = slice(turn.rows.start + first, turn.rows.start + last + 1)
-    stamps: Stamps = np.round(readings.time[rows] / NANOSECOND).astype(np.int64)
+    stamps, values = readings.stamps[rows], readings.values[rows]
     passed = Passage(stamps, ahead[first : last + 1])
     near = np.abs(passed.ahead) < step.passing
-    length, away = readings.length[rows][near], passed.ahead[near]
+    away, beam = passed.ahead[near], readings.beam[rows][near]
     if reason := why_no_reading_counts(passed, away, step, settings):
         reduced = ReducedWindow(reason=reason)
     else:
-        dark = np.where(np.isnan(length), ReadingFault.BEAM_BROKEN, ReadingFault.NONE)
-        values = np.column_stack([np.zeros(len(length)), length, dark])
-        reduced = reduce_passing_lengths(away, values, 0, settings)
-    broken = np.isnan(readings.length[turn.rows.start : rows.start])
+        missing = missing_readings(values[:, SEQUENCE], passed.ahead, step.passing)
+        reduced = reduce_passing_lengths(away, values[near], missing, settings)
     return replace(
         step.observed(reduced.mean),
         std=reduced.std,
@@ -217,5 +272,5 @@ def _observed(
         table_angle_measured=step.table_angle + sense * fsum(away) / max(len(away), 1),
         window_start_ns=int(stamps[0]),
         window_end_ns=int(stamps[-1]),
-        segment=segment + int(np.count_nonzero(broken)),
+        segment=number + int(beam[:1].sum() + beam[-1:].sum()),
     )

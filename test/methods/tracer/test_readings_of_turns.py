@@ -1,11 +1,13 @@
 """Raw readings of a tracer on a table that turned: turns are found, and become lengths."""
 
 import numpy as np
+import pyarrow
 import pytest
+from pyarrow import parquet
 from turning_scene import turning_scene, write_turns
 
 import rotcal_ros as rc
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import BagError, DataError
 
 NOISE = "solver: {length_std_m: 8.0e-8, error_motion_std_m: 0.0}\n"
 ANGLES = ", table_positions: 36, table_step_deg: 10, passing_deg: 0.51"
@@ -81,6 +83,23 @@ def test_a_broken_turn_counts_from_another_zero_and_again_where_it_is_made_again
     assert len(zeros) == len(others) == 1
     assert zeros != others
     assert measured.solve().verdict == "ok"
+
+
+def test_the_same_readings_as_parquet_are_the_same_lengths(scene, tmp_path):
+    rows, target = rows_of(scene)
+    rows[100:110, 2] = np.nan  # before the first angle
+    as_text = written(scene, tmp_path, rows, target)
+    columns = dict(zip(("time_s", "angle_deg", "length_m"), rows.T.tolist(), strict=True))
+    columns |= {"target": target.tolist()}
+    columns["length_m"] = [None if np.isnan(x) else x for x in columns["length_m"]]
+    path = tmp_path / "turns.parquet"
+    parquet.write_table(pyarrow.table(columns), path)
+    measured = rc.read_table(path, rc.read_configuration(tmp_path / "setup.yaml"))
+    assert measured.observations == as_text.observations
+    assert set(measured.sha256) == {"turns.parquet"}
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(BagError, match="cannot read the table"):
+        rc.read_table(path, rc.read_configuration(tmp_path / "setup.yaml"))
 
 
 def test_without_angles_a_whole_turn_is_wanted_by_degrees(scene, tmp_path):
