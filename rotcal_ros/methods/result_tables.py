@@ -21,9 +21,11 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
-DIGITS: Final = {"deg": 4, "mm": 4, "um": 3, "arcsec": 3}
+DIGITS: Final = {"deg": 4, "mm": 4, "um": 3, "arcsec": 3, "Hz": 3, "deg/s": 3}
 """Digits behind the point of a column, by the unit at the end of its head; else six in all."""
-UNITS: Final = {"deg": "°", "mm": "mm", "um": "µm", "arcsec": "arcsec"}
+UNITS: Final = {
+    "deg": "°", "mm": "mm", "um": "µm", "arcsec": "arcsec", "Hz": "Hz", "deg/s": "(°/s)",
+}  # fmt: skip
 """Units as people know them, by the end of a head."""
 EXPANDED: Final = "U_"
 """Beginning of the heads of expanded uncertainties."""

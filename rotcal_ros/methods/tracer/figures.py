@@ -11,7 +11,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.figures.style import name_places
@@ -118,9 +118,33 @@ def tables(result: Result) -> list[ResultTable]:
         ResultTable.of(
             "stations", "Stations of the tracer, and as projected on their plane", **columns
         ),
+        *_lines(details),
         *_targets(details),
         *corrections_table(details),
         _circle(details),
+    ]
+
+
+def _lines(details: Mapping[str, Any]) -> list[ResultTable]:
+    """Return the lines in what a table that turned left of the lengths, if there are any."""
+    lines = details.get("turning", {}).get("lines", [])
+    if not lines:
+        return []
+    column = {name: _array([line[name] for line in lines]) for name in lines[0]}
+    radius = float(details["circle"]["radius"])
+    return [
+        ResultTable.of(
+            "lines",
+            "Lines in the spectrum of the residuals; ECC: were they as large along the circle",
+            **{
+                "speed_deg/s": column["speed"] / DEGREE,
+                "order": column["order"],
+                "frequency_Hz": column["frequency"],
+                "amplitude_um": column["amplitude"] / MICROMETRE,
+                "ECC_arcsec": column["amplitude"] / radius / ARCSEC,
+                "likeness": np.round(column["likeness"], 2),
+            },
+        )
     ]
 
 

@@ -22,7 +22,7 @@ from rotcal_ros.foundation.results import (
     Result,
     Zeros,
 )
-from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import LAG, LATER_RUN
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, printed_scatter
 from rotcal_ros.methods.tracer.solver.observability import (
@@ -69,6 +69,12 @@ NO_DEVIATION: Final = noted("no deviation for station(s) {0}: too few usable len
 IN_ONE_PLANE: Final = noted(
     "all targets lie in one plane, so the tracer could stand on either side of it: the lower "
     "side was taken; give start_stations to choose the other"
+)
+
+VIBRATES: Final = noted(
+    "the lengths hold a line at order {0:.4g} ({1:.3g} Hz) of {2:.2g} um at {3:g} deg/s, which no "
+    "noise explains: were it as large along the tracer's circle, ECC would hold {4:.2g} arcsec of "
+    "it"
 )
 
 METHOD = "tracer_multistation"
@@ -244,6 +250,12 @@ def _remarks_of_turns(solution: TracerSolution) -> Iterator[Phrase]:
             "the mean reversal is zero by definition: at one speed and back nothing tells it from "
             "the lag of the table's feedback; turn at a second speed, or state solver.lag_s"
         )
+    if solution.vibration:
+        line = solution.vibration[0]
+        yield phrase(
+            VIBRATES, line.order, line.frequency, line.amplitude / MICROMETRE, line.speed / DEGREE,
+            line.amplitude / solution.motion.radius / ARCSEC
+        )  # fmt: skip
     if solution.in_time is not None:
         shares = {noise.independent: None for noise in solution.in_time.noise}
         each = ", ".join(f"{100.0 * share:.0f} %" for share in shares)
@@ -257,7 +269,7 @@ def _of_turns(solution: TracerSolution) -> dict[str, Any]:
     """Return, of a table that turned, speeds (r,) rad/s, noise in time, and the lag (s).
 
     ``autoregression``: coefficients of each run, on the lengths of the angles before;
-    ``independent``: the share of them that counts for slow changes.
+    ``independent``: the share of them that counts for slow changes; ``lines``: vibration.
     """
     lengths, fit = solution.lengths, solution.found.fit
     if lengths.speed is None:
@@ -272,6 +284,7 @@ def _of_turns(solution: TracerSolution) -> dict[str, Any]:
             "lag_std": solution.found.scale * float(np.sqrt(variance)),
             "autoregression": [each.ahead[-1] for each in noise],
             "independent": [each.independent for each in noise],
+            "lines": [asdict(line) for line in solution.vibration],
         }
     }
 

@@ -136,7 +136,9 @@ class NoiseInTime:
 
 @dataclass(frozen=True, eq=False)
 class TimeCorrelatedLengths:
-    """A table's ``lengths`` beside the ``noise`` (r) of its ``runs``, about the unknowns ``x``.
+    """A table's ``lengths`` beside the ``noise`` (r) of its ``runs``, about a ``first`` fit.
+
+    That takes lengths to be independent.
 
     ``series`` (k,): which lengths are of one target, of those that were measured as often before.
     """
@@ -145,7 +147,12 @@ class TimeCorrelatedLengths:
     series: Ints
     runs: TurningRuns
     noise: tuple[NoiseInTime, ...]
-    x: Floats
+    first: Fit
+
+    @property
+    def x(self) -> Floats:
+        """The unknowns of the first fit."""
+        return self.first.x
 
     @classmethod
     def of(cls, lengths: CarriedLengths, again: Ints, fit: Fit) -> TimeCorrelatedLengths:
@@ -154,8 +161,7 @@ class TimeCorrelatedLengths:
         ``again`` (k,): how often the pair of each was measured before.
         """
         runs, k = TurningRuns.of(lengths), len(lengths.row)
-        kinds = np.column_stack([again, lengths.place, lengths.target])
-        number = np.unique(kinds, axis=0, return_inverse=True)[1].ravel()
+        number = series_of(lengths, again)
         series = np.full((int(number.max()) + 1, len(lengths.angles)), np.nan)
         white = np.where(fit.used[:k], fit.white[:k], np.nan)
         usual = float(np.nanmedian(np.abs(white)) / NORMAL_QUARTILE)
@@ -177,7 +183,7 @@ class TimeCorrelatedLengths:
             number,
             runs,
             tuple(found[speed] for speed in np.abs(runs.speed).tolist()),
-            fit.x,
+            fit,
         )
 
     @property
@@ -293,6 +299,15 @@ class TimeCorrelatedLengths:
             parts.append(_kron(self.at_places, len(rows) // m) if whole else eye_array(len(rows)))
         news, slowly = (csr_array(block_diag([w, *parts], format="csr")) for w in (own, slow))
         return news, slowly, grown
+
+
+def series_of(lengths: CarriedLengths, again: Ints) -> Ints:
+    """Return which lengths (k,) are of one target, of those that were measured as often before.
+
+    ``again`` (k,): how often the pair of each was measured before.
+    """
+    kinds = np.column_stack([again, lengths.place, lengths.target])
+    return np.unique(kinds, axis=0, return_inverse=True)[1].ravel()
 
 
 def _product(series: list[Floats], lag: int) -> float:
