@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rotcal_ros.adjust.distributions import f_sf
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -33,6 +34,9 @@ MOST: Final = 5
 """Lines that are named, the largest ones."""
 _MEDIAN_WORTH: Final = 0.64
 """Share of independent values that a mean would need to be as good as the median of them all."""
+
+_Spectra = dict[int, NDArray[np.complex128]]
+"""Of each run, turn by order."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ def vibration_lines(
 
     ``series`` (k,): which lengths are of one target, of those that were measured as often before.
     """
-    runs, spectra, spacing = TurningRuns.of(lengths), dict[int, Floats](), dict[int, float]()
+    runs, spectra, spacing = TurningRuns.of(lengths), _Spectra(), dict[int, float]()
     whole = np.full((int(series.max()) + 1, len(lengths.angles)), np.nan)
     whole[series, lengths.position] = residual
     share = float(redundancy.mean())
@@ -107,7 +111,7 @@ def _standing_out(power: Floats, dof: float, significance: float) -> Iterator[in
             yield order
 
 
-def _likeness(spectra: dict[int, Floats], runs: TurningRuns, run: int, order: int) -> float | None:
+def _likeness(spectra: _Spectra, runs: TurningRuns, run: int, order: int) -> float | None:
     """Return the correlation of an order with that of the same speed the other way."""
     for other in np.flatnonzero(runs.speed == -runs.speed[run]).tolist():
         if other in spectra and spectra[other].shape == spectra[run].shape:
