@@ -1,13 +1,13 @@
 # `make demo` and `make test` first make .venv with all they need; see README.md.
-# `make ROS_DISTRO=jazzy demo` does it with ROS 2 Jazzy, in .venv-jazzy.
+# `make ROS_DISTRO=kilted demo` does it with ROS 2 Kilted, in .venv-kilted.
 PYTHON ?= python3
-ROS_DISTRO := kilted
-VENV := .venv$(patsubst -kilted,,-$(ROS_DISTRO))
+ROS_DISTRO := jazzy
+VENV := .venv$(patsubst -jazzy,,-$(ROS_DISTRO))
 BIN := $(VENV)/bin
 DEMO := out/demo$(VENV:.venv%=%)
 # For CI, with known truth: a table of ros2_control and a ball plate behind I++ DME at once, the goals
 # of a trajectory controller, and the closed loop on LinuxCNC.
-JAZZY_TESTS := test/nodes/test_every_reader.py packages/rotcal_ipp_dme/test/test_two_cells.py test/cli/test_doctor.py \
+KILTED_TESTS := test/nodes/test_every_reader.py packages/rotcal_ipp_dme/test/test_two_cells.py test/cli/test_doctor.py \
 	test/nodes/table_adapter/test_table_goals.py test/linuxcnc/test_closed_loop.py
 # The tests of PACKAGE, rotcal_ros being the core; ALONE=1: with the core and nothing else.
 TESTS = $(patsubst packages/rotcal_ros/test,test,$(PACKAGE:%=packages/%/test))
@@ -20,7 +20,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power yardstick data-set mutants fuzz soak endurance lint release compare-release setup clean help
+.PHONY: demo resume test test-all test-aids test-kilted docs reproduce bench power yardstick data-set mutants fuzz soak endurance lint release compare-release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -37,9 +37,9 @@ test-all: setup  ## run the slow ones, too, as CI does once a week
 test-aids: setup  ## fetch what some tests run: packages of Node.js, NIST's suite for I++ DME
 	@$(BIN)/python test/aids.py
 
-test-jazzy:  ## a live cell with known truth on ROS 2 Jazzy, in .venv-jazzy
-	@ROTCAL_LONG_TESTS=1 $(MAKE) --no-print-directory ROS_DISTRO=jazzy test \
-		PYTEST_ARGS="$(JAZZY_TESTS)"
+test-kilted:  ## a live cell with known truth on ROS 2 Kilted, in .venv-kilted
+	@ROTCAL_LONG_TESTS=1 $(MAKE) --no-print-directory ROS_DISTRO=kilted test \
+		PYTEST_ARGS="$(KILTED_TESTS)"
 
 docs: setup  ## build the site of the pages strictly; open out/site/index.html
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

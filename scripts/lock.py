@@ -1,6 +1,6 @@
 """Writes locks/DISTRIBUTION.txt: all packages, direct or brought in, with versions and hashes.
 
-usage: python scripts/lock.py [kilted] [jazzy]     needs uv, and an index that it can reach
+usage: python scripts/lock.py [jazzy] [kilted]     needs uv, and an index that it can reach
 
 The versions follow from what the core and the packages beside it ask for, constraints.txt and
 constraints-DISTRIBUTION.txt, for every Python from 3.10 on by markers. A line `# for: core ros`
@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 OLDEST_PYTHON = "3.10"
 TOOLS = ("setuptools", "uv", "wheel")
 """What sets up the environment itself, as the part `tools`."""
-DISTRIBUTIONS = ("kilted", "jazzy")
+DISTRIBUTIONS = ("jazzy", "kilted")
 NOT_INSTALLED = {"mutants", "release"}
 """Extras that set-up never installs: they are asked for by hand."""
 _BLOCK = re.compile(r"(?m)^(?P<name>[\w.-]+)==[^\n]*(?:\n    (?:--hash|#)[^\n]*)*\n")

@@ -189,6 +189,9 @@ def release(version: str, work: Path) -> Path:
         for python in PYTHONS
         for what, packages in trials.items()
     }
+    tried[f"{PYTHONS[0]} all wheels, oldest dependencies"] = try_out(
+        PYTHONS[0], wheels, work, built, ("--resolution", "lowest-direct")
+    )
     if not any(ok.startswith("passed") for ok in tried.values()):
         raise UnfitError(f"none of Python {', '.join(PYTHONS)} is on this machine")
     with tarfile.open(built / f"rotcal_msgs-{version}.tar.gz", "w:gz") as messages:
@@ -225,8 +228,16 @@ def check_contents(name: str, wheel: Path, archive: Path, source: Path) -> None:
         raise UnfitError(f"the wheel holds {min(strange)}, which the repository does not")
 
 
-def try_out(python: str, packages: Sequence[Path], work: Path, built: Path) -> str:
+def try_out(
+    python: str,
+    packages: Sequence[Path],
+    work: Path,
+    built: Path,
+    versions: Sequence[str | Path] = ("-c", ROOT / "constraints.txt"),
+) -> str:
     """Install packages for one Python, alone, and solve with them; return how that went.
+
+    ``versions`` tells uv which of each dependency; else those that are pinned.
 
     The first wheel that passes also gives the bill of materials.
     """
@@ -238,8 +249,7 @@ def try_out(python: str, packages: Sequence[Path], work: Path, built: Path) -> s
     shutil.rmtree(place, ignore_errors=True)
     _run(UV, "venv", "--quiet", "--no-project", "--python", interpreter, place)
     inside = place / "bin" / "python"
-    pins = ("-c", ROOT / "constraints.txt")
-    _run(UV, "pip", "install", "--quiet", "--python", inside, *pins, *packages)
+    _run(UV, "pip", "install", "--quiet", "--python", inside, *versions, *packages)
     program = place / "bin" / "rotcal"
     if "cannot be loaded" in _output(program, "--help", cwd=place):
         raise UnfitError(f"Python {python}: a verb cannot be loaded")

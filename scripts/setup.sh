@@ -1,21 +1,21 @@
 #!/usr/bin/env bash
 # Makes .venv with rotcal_ros, the packages beside it and all that they need: Python packages, ROS 2
-# wheels, rotcal_msgs. That is ROS 2 Kilted; the environment of any other distribution is named after
-# it: .venv-jazzy.
+# wheels, rotcal_msgs. That is ROS 2 Jazzy; the environment of any other distribution is named after
+# it: .venv-kilted.
 #
 # Three parts, each with a stamp that holds the hash of what it was made from; the second run
 # finds three good stamps and is done. A part removes its stamp before it starts, so that an
 # interrupted set-up is noticed and repeated.
 #
-# usage: scripts/setup.sh [kilted|jazzy|check]    check: only see whether this machine can do it
+# usage: scripts/setup.sh [jazzy|kilted|check]    check: only see whether this machine can do it
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 PYTHON=${PYTHON:-python3}
-DISTRO=${1:-kilted}
-[[ $DISTRO != check ]] || DISTRO=kilted
+DISTRO=${1:-jazzy}
+[[ $DISTRO != check ]] || DISTRO=jazzy
 SUFFIX=-$DISTRO
-[[ $DISTRO != kilted ]] || SUFFIX=
+[[ $DISTRO != jazzy ]] || SUFFIX=
 VENV=$PWD/.venv$SUFFIX
 BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
@@ -175,8 +175,8 @@ mkdir -p "$BUILD"
 touch build/COLCON_IGNORE
 exec 9>"$BUILD/lock"
 flock 9 # two terminals, one set-up
-# An environment can neither be moved nor serve another Python.
-environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
+# An environment can neither be moved nor serve another Python or distribution.
+environment=$({ python_says 'print(sys.version, sys.base_prefix)' && echo "$PWD $DISTRO"; } | hash_of)
 packages=$({
     echo "$environment" && cat "$LOCK" setup.* packages/*/setup.* scripts/setup.sh rotcal_ros/{__init__,foundation/node_names}.py
     find config launch -type f | sort
@@ -193,6 +193,8 @@ trap 'say "interrupted; run it again"; exit 130' INT
 if ! is_made packages "$packages"; then
     # Without a packages stamp the last pip run has not ended well: start afresh.
     if ! is_made environment "$environment" || [[ ! -e $VENV/.packages ]]; then
+        [[ ! -e $VENV ]] ||
+            say "${VENV##*/} is of another ROS 2, Python or folder, or was not finished: it is made anew"
         make_environment
         stamp environment "$environment"
     fi

@@ -36,7 +36,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=["numpy", f"rotcal_ros=={VERSION}"],
+    install_requires=["numpy>=1.26", f"rotcal_ros=={VERSION}"],
     extras_require={"ads": ["pyads"], "opcua": ["asyncua", "cryptography"]},
     entry_points={
         "rotcal_ros.controllers": [

@@ -29,7 +29,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=["click", "numpy", f"rotcal_ros=={VERSION}"],
+    install_requires=["click>=8.1", "numpy>=1.26", f"rotcal_ros=={VERSION}"],
     entry_points={
         "rotcal_ros.plans": [
             f"{plan} = {NAME}.verbs.{module}:{plan}" for plan, module in PLANS.items()

@@ -21,7 +21,7 @@ setup(
         (f"share/{NAME}/config", ["config/ball_plate_dme.yaml"]),
     ],
     python_requires=">=3.10",
-    install_requires=["click", "numpy", f"rotcal_ros=={VERSION}"],
+    install_requires=["click>=8.1", "numpy>=1.26", f"rotcal_ros=={VERSION}"],
     entry_points={
         "console_scripts": [NODE],
         "rotcal_ros.nodes": [NODE],

@@ -20,9 +20,9 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=[
-        "click",
-        "numpy",
-        "PyYAML",
+        "click>=8.1",
+        "numpy>=1.26",
+        "PyYAML>=6.0",
         f"rotcal_ros=={VERSION}",
     ],
     entry_points={"rotcal_ros.verbs": [f"reproduce = {NAME}:VERB"]},

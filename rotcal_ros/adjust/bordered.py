@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
+from scipy.sparse import bsr_array, coo_array, coo_matrix, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense, squares_outside
@@ -471,7 +471,7 @@ class BorderedKernel(Kernel):
             return super().covariance_of(outputs)
         near, root, core = parts
         found, own = (root @ core) @ root.T, coo_array(near @ near.T)
-        found[own.coords] += own.data
+        found[own.row, own.col] += own.data
         return np.asarray(found)
 
     def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
@@ -620,7 +620,8 @@ def _apart(
     while alone.any():
         inside = alone[column]
         ones = np.ones(int(inside.sum()))
-        graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
+        # a matrix, not an array: of 64-bit indices scipy 1.11 makes labels that are wrong
+        graph = coo_matrix((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
         label = connected_components(graph, directed=False)[1]
         groups, group = np.unique(label[n:][alone], return_inverse=True)
         if len(groups) > 1:

@@ -322,9 +322,12 @@ class DenseKernel(Kernel):
             basis, upper = np.linalg.qr(unit[:, moving])
             along = basis.T @ unit[:, held]
             left = np.linalg.norm(unit[:, held] - basis @ along, axis=0)
-            if lapack.dtrcon(upper)[0] > max(FIRM, weak) and not (left > weak).any():
+            inverse, singular = lapack.dtrtri(upper)
+            norm, of_inverse = (np.abs(a).sum(axis=0).max(initial=0.0) for a in (upper, inverse))
+            firm = singular <= 0 and norm * of_inverse * max(FIRM, weak) < 1.0
+            if firm and not (left > weak).any():
                 root, open_ = np.zeros((len(scale), len(upper))), np.zeros((len(scale), len(held)))
-                root[moving] = lapack.dtrtri(upper)[0]
+                root[moving] = inverse
                 open_[moving] = -lapack.dtrtrs(upper, along)[0] if len(held) else 0.0
                 open_[held, np.arange(len(held))] = 1.0
                 return cls(design, open_ / scale[:, None], basis, root / scale[:, None])

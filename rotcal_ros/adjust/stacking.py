@@ -39,7 +39,7 @@ def reparametrise(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model:
         outputs=model.outputs @ to,
         further={name: rows @ to for name, rows in model.further.items()},
         definitions=None if model.definitions is None else model.definitions @ to,
-        start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
+        start=np.asarray(np.linalg.lstsq(to, model.first, rcond=None)[0], dtype=np.float64),
     )
 
 

@@ -146,7 +146,7 @@ class Decoder:
         return True
 
     def _dtype(self, layout: FieldLayout, wanted: Sequence[str]) -> np.dtype[np.void]:
-        missing = [name for name in wanted if name not in layout.fields]
+        missing = [name for name in wanted if layout.place(name) is None]
         if missing:
             raise BagError(
                 f"topic {self.channel.topic}: {self.channel.type_name} has no field "
@@ -174,6 +174,7 @@ _IDL_PARTS: Final = re.compile(r"(?m)^={80}\n(?:IDL: .*\n)?")
 """What MCAP's ``ros2idl`` has before every definition, the first one too."""
 _PREPROCESSOR: Final = re.compile(r"(?m)^[ \t]*#.*$")
 """Lines that rosidl generates, ``#include``: what they name stands in the other parts."""
+_ENUMERATION: Final = re.compile(r"\benum\s+(\w+)\s*\{[^{}]*\}")
 _PLACE: Final = re.compile(r"\n(\d+)\n")
 
 
@@ -189,7 +190,8 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     if channel.encoding not in ("ros2msg", "ros2idl"):
         if not channel.encoding:
             raise BagError(
-                f"topic {channel.topic}: the bag holds no definition of {channel.type_name}; "
+                f"topic {channel.topic}: the bag holds no definition of "
+                f"{channel.type_name or 'its messages'}; "
                 "convert it with 'ros2 bag convert' where the package of this type is installed"
             )
         raise BagError(
@@ -235,7 +237,7 @@ def _parsed(type_name: str, encoding: str, definition: str) -> dict[str, Any]:
         raise _Unusable(f"it is longer than {MAX_DEFINITION} characters")
     text = _LINE_END.sub("\n", definition.removeprefix("\ufeff"))
     if encoding == "ros2idl":
-        parts = _IDL_PARTS.split(_PREPROCESSOR.sub("", text))
+        parts = _IDL_PARTS.split(_without_enumerations(_PREPROCESSOR.sub("", text)))
         return {
             name: fields
             for part in parts
@@ -243,6 +245,20 @@ def _parsed(type_name: str, encoding: str, definition: str) -> dict[str, Any]:
             for name, fields in get_types_from_idl(part).items()
         }
     return dict(get_types_from_msg(text, type_name))
+
+
+def _without_enumerations(idl: str) -> str:
+    """Return definitions whose enumerations are structures of a number of 32 bits, as in CDR.
+
+    Those of another size, and lists of them, which CDR2 writes in two ways, stay and are refused.
+    """
+
+    def replaced(found: re.Match[str]) -> str:
+        name = found[1]
+        listed = re.search(rf"<[\w:]*\b{name}\b|\b{name}\s+\w+\s*\[", idl)
+        return found[0] if listed or "@bit_bound" in idl else f"struct {name} {{ int32 value; }}"
+
+    return _ENUMERATION.sub(replaced, idl)
 
 
 class _TypeCheck:
@@ -358,9 +374,18 @@ class FieldLayout:
     fixed: list[tuple[int, int]] = field(default_factory=list)
     written: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
 
+    def place(self, name: str) -> tuple[np.dtype[Any], int] | None:
+        """Return type and offset of a field, or of an element of a list, as ``position.1``."""
+        listed, _, number = name.rpartition(".")
+        dtype, offset = self.fields.get(listed, (np.dtype("u1"), 0))
+        if name in self.fields or not number.isdecimal() or dtype.subdtype is None:
+            return self.fields.get(name)
+        item, index = dtype.base, int(number)
+        return (item, offset + index * item.itemsize) if index < dtype.shape[0] else None
+
     def dtype(self, wanted: Sequence[str]) -> np.dtype[np.void]:
         """Return the structured type that reads the ``wanted`` fields from a message."""
-        picked = [self.fields[name] for name in wanted]
+        picked = [place for name in wanted if (place := self.place(name)) is not None]
         return np.dtype(
             {
                 "names": list(wanted),

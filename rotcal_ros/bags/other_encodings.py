@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -18,6 +17,7 @@ import numpy as np
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns, Decoder, FieldLayout
 from rotcal_ros.bags.definitions import ChannelDefinition, schema_bytes
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 
 _Parse = Callable[[bytes], Any]
@@ -55,26 +55,42 @@ class ObjectDecoder(Decoder):
     def columns(
         self, block: Block, wanted: Sequence[str], alike: Collection[str] | None = None
     ) -> Iterator[Columns]:
-        """Yield the ``wanted`` numbers of all messages of ``block`` that hold them."""
-        rows, values = [], []
+        """Yield the ``wanted`` numbers of all messages of ``block``, as of any other encoding.
+
+        What a message leaves out is NaN; a message that has other things there is broken. Raises
+        BagError where no message has a field.
+        """
+        shapes = dict[Any, tuple[list[int], list[tuple[Floats, ...]]]]()
+        has_it, last = False, None
         for row in range(len(block)):
             message = self.message(block.payload(row))
             if message is None:
                 continue
+            last = message
+            found = [_reached(message, name) for name in wanted]
+            has_it = has_it or all(value is not _ABSENT for value in found)
             try:
-                values.append(tuple(_number(attrgetter(name)(message)) for name in wanted))
-            except AttributeError:
-                raise BagError(
-                    f"topic {self.channel.topic}: {self.channel.type_name} has no field "
-                    f"{' or '.join(wanted)}; it has {', '.join(_fields(message))}"
-                ) from None
+                values = tuple(_numbers(value) for value in found)
+                texts = tuple(
+                    (name, tuple(_texts(_reached(message, name)))) for name in alike or ()
+                )
             except (TypeError, ValueError):
                 self.broken += 1
                 continue
+            rows, collected = shapes.setdefault(
+                (tuple(value.shape for value in values), texts), ([], [])
+            )
             rows.append(row)
-        if rows:
-            dtype = np.dtype([(name, np.float64) for name in wanted])
-            yield Columns(np.array(rows, np.int64), np.array(values, dtype), FieldLayout(0))
+            collected.append(values)
+        if last is not None and not has_it:
+            raise BagError(
+                f"topic {self.channel.topic}: {self.channel.type_name or 'its message'} has no "
+                f"field {' or '.join(wanted)}; it has {', '.join(_fields(last))}"
+            )
+        for (sizes, texts), (rows, collected) in shapes.items():
+            kinds = [(name, np.float64, size) for name, size in zip(wanted, sizes, strict=True)]
+            layout = FieldLayout(0, texts={name: list(listed) for name, listed in texts if listed})
+            yield Columns(np.array(rows, np.int64), np.array(collected, np.dtype(kinds)), layout)
 
 
 def decoder_of(channel: ChannelDefinition) -> Decoder:
@@ -82,9 +98,48 @@ def decoder_of(channel: ChannelDefinition) -> Decoder:
     return (ObjectDecoder if channel.message_encoding in _PARSERS else Decoder)(channel)
 
 
-def _number(value: Any) -> float:
-    """Return a value; JSON has no other way than ``null`` to say that there is none."""
-    return math.nan if value is None else float(value)
+_ABSENT: Final = object()
+"""What a message has not got at all."""
+
+
+def _reached(message: Any, path: str) -> Any:
+    """Return what stands at a dotted ``path``, elements of lists by their numbers.
+
+    None where a message of Protobuf has its field and left it out; else that is its default.
+    """
+    for name in path.split("."):
+        described = getattr(message, "DESCRIPTOR", None)
+        field = None if described is None else described.fields_by_name.get(name)
+        if field is not None and field.has_presence and not message.HasField(name):
+            return None
+        if name.isdecimal() and not isinstance(message, SimpleNamespace):
+            message = message[int(name)] if _has_element(message, int(name)) else _ABSENT
+        else:
+            message = getattr(message, name, _ABSENT)
+        if message is None or message is _ABSENT:
+            break
+    return message
+
+
+def _has_element(values: Any, index: int) -> bool:
+    return isinstance(values, Sequence) and not isinstance(values, str) and index < len(values)
+
+
+def _numbers(value: Any) -> Floats:
+    """Return a number, or a list of them; ``null`` is JSON's way to say that there is none."""
+    if value is _ABSENT:
+        return np.array(math.nan)
+    numbers = np.array(value, dtype=np.float64)
+    if numbers.ndim > 1:
+        raise ValueError("lists in a list")
+    return numbers
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    """Return a text, or a list of them; nothing where something else stands."""
+    listed = [value] if isinstance(value, str) else value
+    is_list = isinstance(listed, Sequence) and all(isinstance(each, str) for each in listed)
+    return tuple(listed) if is_list else ()
 
 
 def _fields(message: Any) -> list[str]:

@@ -18,7 +18,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.untrusted import cause_of, load_yaml, read_text
 
 VERSION: Final = 9
-"""Version of the format: the one of ROS 2 Kilted."""
+"""Version of the format: that of ROS 2 Jazzy and Kilted."""
 INFINITE_NS: Final = 2**63 - 1
 
 

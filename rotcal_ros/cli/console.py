@@ -140,7 +140,9 @@ OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
 def in_lines(error: Exception) -> tuple[str, ...]:
     """Return an error in one line for people, and further lines if it has any."""
     if isinstance(error, RotcalError):
-        return str(error), *error.log.splitlines()
+        from rotcal_ros.foundation.table_questions import further_lines
+
+        return str(error), *error.log.splitlines(), *further_lines(error.question)
     if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
         return (f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}",)
     from rotcal_ros.foundation.plugins import describe_error, failing_plugin

@@ -32,6 +32,7 @@ from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.results import Result, json_fields
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.table_forms import read_any, reads_any_form
+from rotcal_ros.foundation.table_questions import asking_at_once
 from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -331,7 +332,8 @@ def read_any_runs(
     open, ``announce`` is given how it was understood. Raises as :func:`read_runs`.
     """
     by_columns = not reads_any_form()
-    reading = read_any(path, (_IN_SI if by_columns else ("position", "deviation_rad"),), sheet)
+    header = _IN_SI if by_columns else ("position", "deviation_rad")
+    reading = asking_at_once(lambda s, _: read_any(path, (header,), s), sheet, announce)
     announce(reading)
     if by_columns:
         return read_runs(reading.table)

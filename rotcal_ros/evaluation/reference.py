@@ -25,6 +25,7 @@ from rotcal_ros.foundation.table_columns import (
     undecided,
 )
 from rotcal_ros.foundation.table_forms import read_any
+from rotcal_ros.foundation.table_questions import asking_at_once
 from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Header, Row, Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
@@ -51,11 +52,9 @@ def read_deviations(
     An expanded uncertainty is taken as U with k = 2. ``sheet`` says what the table leaves open,
     ``announce`` is given how it was understood. ``std`` and errors as of :func:`read_reference`.
     """
-    reading = read_any(source, _HEADERS, sheet)
-    stated = reading.table.header[2:]
-    if stated:
-        require_known_factor(reading)
+    reading = asking_at_once(lambda stated, _: _read(source, stated), sheet, announce)
     announce(reading)
+    stated = reading.table.header[2:]
     factor = UNCERTAINTIES[stated[0]] if stated else 1.0
     rows = []
     for row in reading.table.rows():
@@ -63,6 +62,13 @@ def read_deviations(
         rows.append((angle, deviation, u[0] * factor if u else (std or 0.0)))
     name = str(reading.table.path)
     return _curve(rows, name, stated=bool(stated) or std is not None)
+
+
+def _read(source: Path | Table, sheet: SheetSettings) -> Reading:
+    reading = read_any(source, _HEADERS, sheet)
+    if reading.table.header[2:]:
+        require_known_factor(reading)
+    return reading
 
 
 def require_known_factor(reading: Reading) -> None:

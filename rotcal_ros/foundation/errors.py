@@ -20,11 +20,14 @@ LONGEST: Final = 2000
 class Question:
     """What only a person can decide: a ``setting`` and its values, each with what it would mean.
 
-    Where a value is a unit, ``answers`` are the likely ones.
+    Where a value is a unit, ``answers`` are the likely ones. ``found`` says what leaves it open,
+    ``also`` are the other questions that are open whatever the answer is.
     """
 
     setting: str
     answers: tuple[tuple[str, str], ...]
+    found: str = ""
+    also: tuple[Question, ...] = ()
 
 
 class RotcalError(Exception):

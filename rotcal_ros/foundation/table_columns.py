@@ -92,8 +92,8 @@ class SheetSettings:
         0, doc="counts in a turn of what was commanded, as steps of a motor; 0: as counts_per_turn"
     )
     counter: str = expert(
-        "", doc="bits of a counter that wraps elsewhere than at a turn",
-        choices=("", "16", "24", "32"),
+        "", doc="bits of a counter that wraps elsewhere than at a turn, or, beyond 64, the counts "
+        "after which it does",
     )  # fmt: skip
     zero: str = expert(
         "", doc="where actual angles count from: the zero of the table, or the first row",

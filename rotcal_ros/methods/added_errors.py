@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array, vstack
+from scipy.sparse import csr_array, identity, vstack
 
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.arrays import Floats
@@ -134,7 +134,7 @@ def _errors(result: Result) -> tuple[Floats | csr_array, Floats | csr_array]:
     n, at = len(result.angles), np.zeros(0, int)
     if (both := result.directions.get(COMPONENT)) is not None:
         at = np.argmin(np.abs(both.angles[:, None] - result.angles), axis=1)
-    every = csr_array(eye_array(n + len(at), format="csr"))
+    every = csr_array(identity(n + len(at), format="csr"))
     forward, reverse = every[at], every[n:]
     share = np.ones(n)
     share[at] = 0.5

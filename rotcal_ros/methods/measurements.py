@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -14,6 +14,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings, TableColumn
 from rotcal_ros.foundation.table_forms import FILE, read_any, remembered
+from rotcal_ros.foundation.table_questions import Announce, asking_at_once
 from rotcal_ros.foundation.table_reading import Known, Reading
 from rotcal_ros.foundation.tables import (
     Header,
@@ -88,7 +89,7 @@ def read_measurements(
     source: Path | Table,
     configuration: Configuration,
     targets: Path | Table | None = None,
-    announce: Callable[[Reading], object] = str,
+    announce: Announce = str,
 ) -> Measurements:
     """Read a table, of any form, as the method of the configuration understands it.
 
@@ -99,6 +100,19 @@ def read_measurements(
     what it should be or can be read in two ways.
     """
     source = parquet_as_table(source)
+
+    def read(sheet: SheetSettings, announced: Announce) -> Measurements:
+        return _read(source, replace(configuration, sheet=sheet), targets, announced)
+
+    return asking_at_once(read, configuration.sheet, announce)
+
+
+def _read(
+    source: Path | Table,
+    configuration: Configuration,
+    targets: Path | Table | None,
+    announce: Announce,
+) -> Measurements:
     path, method = source.path if isinstance(source, Table) else source, configuration.method
     if method.table is None:
         raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")

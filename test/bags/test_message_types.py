@@ -74,6 +74,26 @@ def test_idl_definitions_are_read() -> None:
     assert (message.x, message.y.tolist()) == (1.5, [7, 8])
 
 
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("xcdr2", [False, True])
+def test_an_enumeration_of_idl_is_a_number_of_32_bits(xcdr2: bool, big: bool) -> None:
+    """DDS-XTypes 1.3, 7.3.1.2.1.5: 32 bits unless ``@bit_bound`` says otherwise."""
+    line = "=" * 80
+    kinds = "module b { module msg { enum Mode { OFF, @value(5) ON }; }; };"
+    own = "module a { module msg { struct B { b::msg::Mode mode; uint8 n; double x; }; }; };"
+    text = f"{line}\nIDL: a/msg/B\n{own}\n{line}\nIDL: b/msg/Mode\n{kinds}\n"
+    order = ">" if big else "<"
+    fields = struct.pack(f"{order}iB3x", 5, 7) + struct.pack(f"{order}d", 1.5)
+    data = bytes([0, 6 * xcdr2 + (not big), 0, 0]) + fields
+    message = decoder(text, "ros2idl").message(data)
+    assert (message.mode.value, message.n, message.x) == (5, 7, 1.5)
+    for other in (kinds.replace("enum", "@bit_bound(8) enum"), kinds):
+        listed = "b::msg::Mode mode" if other is not kinds else "sequence<b::msg::Mode> mode"
+        unsure = text.replace(kinds, other).replace("b::msg::Mode mode", listed)
+        with pytest.raises(BagError, match="it does not define b/msg/Mode"):
+            decoder(unsure, "ros2idl")
+
+
 @pytest.mark.parametrize("encoding", ["", "protobuf"])
 def test_other_encodings_are_named(encoding: str) -> None:
     with pytest.raises(BagError, match=f"topic /t: .*a/msg/B.*{encoding}"):

@@ -24,7 +24,7 @@ from rotcal_ros.sessions.session import prepare_session
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
-pytestmark = [pytest.mark.linuxcnc, pytest.mark.ros, pytest.mark.long]  # make test-jazzy runs it
+pytestmark = [pytest.mark.linuxcnc, pytest.mark.ros, pytest.mark.long]  # make test-kilted runs it
 
 CONFIGURATION = HERE.parents[1] / "config" / "verify_demo.yaml"
 CHANGES = (

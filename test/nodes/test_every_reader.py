@@ -1,4 +1,4 @@
-"""Whole bags of every method, live, in the readers of others; on Kilted and on Jazzy."""
+"""Whole bags of every method, live, in the readers of others; on Jazzy and on Kilted."""
 
 from pathlib import Path
 

@@ -30,6 +30,13 @@ def test_every_instrument_serves_methods_that_there_are():
         assert {way.method for way in served} <= {*method_names(), "deviations"}
 
 
+def test_what_may_be_owned_and_wanted_is_listed():
+    listed = json.loads(advised("--json").stdout)
+    assert listed["instruments"]["polygon"] == "polygon and autocollimator"
+    assert listed["units"]["ECC"]["size"] == pytest.approx(ARCSEC)
+    assert listed["units"]["EZC"] == {"size": MICROMETRE, "unit": "µm"}
+
+
 def test_the_command_writes_the_set_up_that_was_predicted(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (best,) = ways("--own", "probe", "--want", "EZC=1", "--machine-um", 0.8)

@@ -98,7 +98,7 @@ def outcome_of(folder, name, steps):
     return read_result(folder / f"out_{name}" / "result.json")
 
 
-@pytest.mark.long  # CI runs it on the other distribution: make test-jazzy
+@pytest.mark.long  # CI runs it on the other distribution: make test-kilted
 def test_two_cells_in_one_domain_find_their_own_truth(cells, tmp_path):
     cells.start("drive", own_process("joint_controller.py", "", "0"))
     cells.start("tracer", [*own_process("own_tracer.py"), "-r", "joint_states:=own_table"])

@@ -13,6 +13,8 @@ from rotcal_ros.foundation.errors import BagError
 
 UNITS: Final = {"MM": "mm", "CM": "cm", "M": "m", "METER": "m", "INCH": "in", "FEET": "ft"}
 _UNITS: Final = re.compile(r"^[ \t]*UNITS/([A-Z]+)", re.MULTILINE)
+_SYSTEM: Final = re.compile(r"^[ \t]*(?:DA?\([^)\n]+\)[ \t]*=|RECALL/DA?\()", re.MULTILINE)
+"""A datum or a coordinate system begins, or is taken up again."""
 _ACTUAL: Final = re.compile(
     r"^[ \t]*FA\(([^)\n]+)\)[ \t]*=[ \t]*FEAT/(?:SPHERE|POINT|CIRCLE)((?:,[ \t]*[A-Z]+)*)"
     r"((?:,[ \t]*[-+.\dEe]+){3})",
@@ -23,13 +25,23 @@ _ACTUAL: Final = re.compile(
 def read(text: str) -> list[tuple[str, ...]] | None:
     """Return the rows of a table, its head first; None for a text that is no such file.
 
-    Raises BagError where no unit is stated, or places are not Cartesian.
+    Raises BagError where no unit is stated or two are, the coordinate system changes between
+    features, or places are not Cartesian.
     """
-    found = _ACTUAL.findall(text.replace("$\n", "").replace("$\r\n", ""))
-    if not found:
+    text = text.replace("$\n", "").replace("$\r\n", "")
+    every = list(_ACTUAL.finditer(text))
+    if not every:
         return None
-    stated = _UNITS.search(text)
-    unit = UNITS.get(stated[1]) if stated else None
+    found = [feature.groups() for feature in every]
+    stated = dict.fromkeys(_UNITS.findall(text))
+    unit = UNITS.get(next(iter(stated), ""))
+    if len(stated) > 1:
+        raise BagError(f"UNITS/ changes, {' and '.join(stated)}: set the output to one unit")
+    if system := _SYSTEM.search(text, every[0].end(), every[-1].start()):
+        raise BagError(
+            f"{system[0].strip()!r} changes the coordinate system between features, whose places "
+            "are then not of one: output them all in that of the machine"
+        )
     if unit is None:
         raise BagError(f"no UNITS/ with one of {', '.join(UNITS)}: add the line of the program")
     if polar := next((name for name, words, _ in found if "CART" not in words), ""):

@@ -6,8 +6,9 @@ while is a row, if the actual angle stands still in the last part of that time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from math import hypot, sqrt
 from pathlib import Path
@@ -15,11 +16,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.bags.decode import Columns, Decoder
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.other_encodings import decoder_of
 from rotcal_ros.bags.reader import bag_files, read_blocks
-from rotcal_ros.capture.messages import joint_index
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.units import NANOSECOND
@@ -28,6 +29,10 @@ MARGIN: Final = 0.1
 """Share of the time at rest that is kept from the next command: the topics' clocks differ."""
 _LEAST: Final = 4
 """Samples of a rest."""
+_JOINTS: Final = ("name", "joint_names")
+"""Fields in which messages of ROS name their joints."""
+_FAR: Final = 100.0
+"""Usual distances of neighbouring samples by which places at a rest differ that are two."""
 _CREEP: Final = 4.0
 """Standard deviations by which the halves of a rest may differ."""
 
@@ -50,20 +55,110 @@ class Numbers:
             )
         return cls(topic, field, joint)
 
-    def read(self, decoder: Decoder, columns: Columns) -> Floats:
-        """Return the numbers (n,); BagError where a message has several and none is named."""
-        values = columns.values[self.field]
-        if values.ndim == 1:
-            return np.asarray(values, dtype=np.float64)
-        listed = columns.layout.texts.get("name", [])
-        at = joint_index(listed, self.joint) if listed and self.joint else None
-        if at is None and values.shape[1] != 1:
-            names = ", ".join(listed) or f"{values.shape[1]} numbers"
+    @property
+    def is_place(self) -> bool:
+        """Whether the field is an element of a list."""
+        return any(part.isdecimal() for part in self.field.split("."))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The fields that may name the joints, the nearest first."""
+        parts = self.field.split(".")[:-1]
+        inside = [".".join(parts[:k]) + "." for k in range(len(parts), 0, -1)]
+        return tuple(f"{prefix}{name}" for prefix in (*inside, "") for name in _JOINTS)
+
+
+@dataclass
+class Heard:
+    """What the messages of a topic say of some ``numbers``, by their times of recording (ns).
+
+    ``without`` counts messages that give none, by reason.
+    """
+
+    numbers: Numbers
+    without: Counter[str] = field(default_factory=Counter)
+    _parts: list[tuple[Ints, Floats, tuple[str, ...]]] = field(default_factory=list)
+    _orders: set[tuple[str, ...]] = field(default_factory=set)
+    _kind: str = ""
+
+    def take(self, decoder: Decoder, block: Block) -> None:
+        """Take the messages of a block, all of this topic."""
+        self._kind, before = decoder.channel.type_name, decoder.broken
+        for columns in decoder.columns(block, (self.numbers.field,), self.numbers.names):
+            values = columns.values[self.numbers.field]
+            texts = columns.layout.texts
+            listed = next((texts[name] for name in self.numbers.names if texts.get(name)), [])
+            if values.ndim == 1 and len(listed) > 1:  # one of them, by its place
+                self._orders |= {tuple(listed)} if self.numbers.is_place else set()
+                listed = []
+            elif len(listed) < values[0].size:
+                listed = []  # the name of something else
+            times = block.headers["log_time"][columns.rows].astype(np.int64)
+            self._parts.append((times, np.asarray(values, dtype=np.float64), tuple(listed)))
+        if decoder.broken > before:
+            why = decoder.unreadable or f"{self.numbers.field} cannot be read as a number"
+            self.without[why] += decoder.broken - before
+
+    def series(self, topics: Collection[str]) -> tuple[Ints, Floats]:
+        """Return times (n,), ascending, and numbers (n,); BagError where there are none.
+
+        ``topics`` are those of the bag. Asks which joint is meant where there are several.
+        """
+        at, place = self._joint(), f"topic {self.numbers.topic}"
+        if not self._parts and not self.without:
+            found = ", ".join(sorted(topics)) or "none"
+            raise BagError(f"no message of {self.numbers.topic} in the bag; its topics: {found}")
+        taken = [(np.zeros(0, np.int64), np.zeros(0))]
+        for times, values, listed in self._parts:
+            if values.ndim == 1 and at in (None, *listed):
+                taken.append((times, values))
+                continue
+            index = listed.index(at) if at in listed else 0
+            if values.ndim > 1 and (at is None or at in listed) and index < values.shape[1]:
+                taken.append((times, values[:, index]))
+            else:
+                self.without[f"no {self.numbers.field} of {at or 'any joint'}"] += len(times)
+        times, values = (np.concatenate(each) for each in zip(*taken, strict=True))
+        is_number = np.isfinite(values)
+        if not is_number.all():
+            self.without[f"{self.numbers.field} is no number"] += int(np.sum(~is_number))
+        if not is_number.any():
+            raise BagError(f"{place}: no message gives a number: {'; '.join(self.reasons())}")
+        order = np.argsort(times[is_number], kind="stable")
+        return times[is_number][order], values[is_number][order]
+
+    def reasons(self) -> Iterator[str]:
+        """Yield why messages give no number, with how many."""
+        yield from (f"{why} in {n} messages" for why, n in self.without.items())
+
+    def _joint(self) -> str | None:
+        """Return the joint that is meant; None: all messages have one number alone."""
+        own = self.numbers
+        heard = [*dict.fromkeys(name for *_, listed in self._parts for name in listed)]
+        if not all(listed for *_, listed in self._parts):
+            heard = []
+        width = max((values[0].size for _, values, _ in self._parts), default=1)
+        kind = f"topic {own.topic}: {self._kind or 'its message'}"
+        if len(self._orders) > 1:
+            orders = "; ".join(sorted(", ".join(order) for order in self._orders))
             raise BagError(
-                f"topic {self.topic}: {decoder.channel.type_name} has {names} in {self.field}: "
-                "say which by --joint"
+                f"{kind} has its joints in changing order ({orders}), so {own.field} is not one "
+                "of them: give the whole list, and say which by --joint"
             )
-        return np.asarray(values[:, at or 0], dtype=np.float64)
+        if width > 1 and not heard:
+            raise BagError(
+                f"{kind} has {width} numbers in {own.field}, without names: say which, as "
+                f"{own.topic}:{own.field}.0"
+            )
+        if not own.joint and len(heard) > 1:
+            raise BagError(f"{kind} has {', '.join(heard)} in {own.field}: say which by --joint")
+        listed = any(values.ndim > 1 for _, values, _ in self._parts)
+        if own.joint and own.joint not in heard and (len(heard) > 1 or (heard and listed)):
+            raise BagError(
+                f"{kind} has no {own.joint} in {own.field}; it has {', '.join(heard)}: say which "
+                f"by --joint, or by its place, as {own.topic}:{own.field}.0"
+            )
+        return own.joint if own.joint in heard else next(iter(heard), None)
 
 
 @dataclass(frozen=True)
@@ -83,11 +178,18 @@ def rests(
     ``period``: by which the actual angle jumps where it wraps; 0: not known. Raises BagError for
     topics or fields that are not there, and for a jump within a rest whose period is not known.
     """
-    (command_ns, orders), (stamps, angles) = _series(bag_files(path), (commanded, actual))
+    if commanded == actual:
+        raise ConfigurationError(
+            f"{commanded.topic}:{commanded.field} cannot be commanded and actual angle at once"
+        )
+    heard, topics = _heard(bag_files(path), (commanded, actual))
+    (command_ns, orders), (stamps, angles) = (own.series(topics) for own in heard)
     changes = np.flatnonzero(np.diff(orders)) + 1
     begins = [int(command_ns[k]) for k in (0, *changes.tolist())]
     levels = [float(orders[k]) for k in (0, *changes.tolist())]
     found, left_out = list[Rest](), list[str]()
+    for own in heard:
+        left_out += [f"{own.numbers.topic}: {reason}" for reason in own.reasons()]
     steps = np.abs(np.diff(np.unique(angles)))
     step = float(steps.min()) if len(steps) else 0.0
     for (begin, end), level in zip(pairwise([*begins, int(stamps[-1]) + 1]), levels, strict=True):
@@ -110,9 +212,13 @@ def _rest(level: float, values: Floats, step: float, period: float) -> Rest:
     off = values - values[0]
     if period:
         off -= period * np.rint(off / period)
-    elif np.abs(np.diff(off)).max() > 0.5 * np.ptp(off) > 100.0 * np.median(np.abs(np.diff(off))):
+    gaps = np.diff(np.sort(off))
+    apart = float(gaps.max())
+    if apart > max(0.5 * np.ptp(off), _FAR * max(float(np.median(gaps)), step)):
+        if period:
+            raise ValueError(f"it is in two places, {apart:.9g} apart: two sources, or a jump")
         raise BagError(
-            f"at the commanded {level:.9g} the actual angle jumps by {np.ptp(off):.9g} and back: "
+            f"at the commanded {level:.9g} the actual angle jumps by {apart:.9g} and back: "
             "say by how much it jumps where it wraps: --period"
         )
     half = len(off) // 2
@@ -124,38 +230,22 @@ def _rest(level: float, values: Floats, step: float, period: float) -> Rest:
     return Rest(level, float(values[0] + np.mean(off)), hypot(std, step / sqrt(12.0)))
 
 
-def _series(files: tuple[Path, ...], wanted: Sequence[Numbers]) -> list[tuple[Ints, Floats]]:
-    """Return times (n,) of recording in ns, ascending, and the numbers (n,) of each field."""
+def _heard(files: tuple[Path, ...], wanted: Sequence[Numbers]) -> tuple[list[Heard], set[str]]:
+    """Return what a bag says of each of the numbers, and the names of its topics."""
     decoders, topics = dict[ChannelDefinition, Decoder](), set[str]()
-    parts = [list[tuple[Ints, Floats]]() for _ in wanted]
+    heard = [Heard(numbers) for numbers in wanted]
     for scan, block in read_blocks(files):
         for number in () if block is None else np.unique(block.headers["channel"]).tolist():
             assert block is not None
             channel = scan.channels[number]
             topics.add(channel.topic)
             rows = np.flatnonzero(block.headers["channel"] == number)
-            for own, numbers in zip(parts, wanted, strict=True):
-                if channel.topic.strip("/") != numbers.topic.strip("/"):
-                    continue
-                decoder = decoders.setdefault(channel, decoder_of(channel))
-                for columns in decoder.columns(block.select(rows), (numbers.field,), ("name",)):
-                    times = block.headers["log_time"][rows[columns.rows]].astype(np.int64)
-                    own.append((times, numbers.read(decoder, columns)))
-    return [_joined(own, numbers, topics) for own, numbers in zip(parts, wanted, strict=True)]
-
-
-def _joined(
-    parts: Sequence[tuple[Ints, Floats]], numbers: Numbers, topics: set[str]
-) -> tuple[Ints, Floats]:
-    if not parts:
-        raise BagError(
-            f"no message of {numbers.topic} in the bag; its topics: "
-            f"{', '.join(sorted(topics)) or 'none'}"
-        )
-    times, values = (np.concatenate(each) for each in zip(*parts, strict=True))
-    keep = np.argsort(times, kind="stable")
-    keep = keep[np.isfinite(values[keep])]
-    return times[keep], values[keep]
+            for own in heard:
+                if channel.topic.strip("/") == own.numbers.topic.strip("/"):
+                    if channel not in decoders:
+                        decoders[channel] = decoder_of(channel)
+                    own.take(decoders[channel], block.select(rows))
+    return heard, topics
 
 
 def as_table(found: Sequence[Rest], commanded_unit: str, actual_unit: str) -> Iterator[str]:

@@ -6,15 +6,20 @@ each, and errors use the names that people know.
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import partial
+from io import StringIO
 from multiprocessing.connection import Connection
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any, Final
+
+from click import UsageError
 
 from rotcal_ros.cli.console import in_lines
 from rotcal_ros.compensation.agreement import UNVERIFIED
@@ -23,11 +28,17 @@ from rotcal_ros.evaluation.marks import marks, why_withheld
 from rotcal_ros.evaluation.two_measurements import verification_of
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.errors import Question, RotcalError, UndecidedError
+from rotcal_ros.foundation.errors import (
+    ConfigurationError,
+    Question,
+    RotcalError,
+    UndecidedError,
+)
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
 from rotcal_ros.foundation.language import Phrase, phrase, use_language
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.table_columns import UNITS, TableColumn, unit_setting
+from rotcal_ros.foundation.table_questions import further_lines
 from rotcal_ros.foundation.table_reading import Reading, Use
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.foundation.untrusted import read_text
@@ -82,6 +93,7 @@ _BOXES: Final = {
     "axis": phrase("Letter of the machine’s axis"),
     "serial": phrase("Serial number of the table in the machine"),
     "set": phrase("Settings, one in a line as NAME=VALUE"),
+    "machine-um": phrase("How well the machine measures or places a point (k = 1)"),
     "accept": _TICK,
     "accept-unverified": _TICK,
 }
@@ -160,16 +172,14 @@ def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> 
 
 def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
-    text, *log = map(asked.describe, in_lines(error))
-    if isinstance(error, UndecidedError):
-        text = asked.describe(error.found)
+    text, *log = in_lines(error)
     question = error.question if isinstance(error, RotcalError) else None
-    text = text.replace("--reference-u ARCSEC (k = 1), ", "")
-    shown = at_boxes(text, asked.method)
+    answers = {*further_lines(question), *(line for line in log if line.startswith("--set "))}
+    text = asked.describe(error.found if isinstance(error, UndecidedError) else text)
     known = known_settings(asked.method) if asked.method else ()
     return {
-        "text": plain(shown) if shown.parts else shown,
-        "log": [line for line in log if not line.startswith("--set ")],  # buttons say that
+        "text": _at_boxes(text, asked),
+        "log": [asked.describe(line) for line in log if line not in answers],  # buttons say those
         "question": question and _in_words(question, asked),
         "names": [found for found in known if re.search(rf"(?<![\w.]){found}(?![\w.]*\w)", text)],
     }
@@ -223,9 +233,19 @@ def at_boxes(text: str, method: str) -> Phrase:
     return phrase(text, *labels)
 
 
+def _at_boxes(text: str, asked: Asked) -> Any:
+    shown = at_boxes(text.replace("--reference-u ARCSEC (k = 1), ", ""), asked.method)
+    return plain(shown) if shown.parts else shown
+
+
 def _in_words(question: Question, asked: Asked) -> Reply:
-    answers = [(value, asked.describe(words)) for value, words in question.answers]
-    return {"setting": question.setting, "answers": answers}
+    """Return a question for the page, with those that are asked besides."""
+    return {
+        "setting": question.setting,
+        "found": _at_boxes(asked.describe(question.found), asked),
+        "answers": [(value, asked.describe(words)) for value, words in question.answers],
+        "also": [_in_words(each, asked) for each in question.also],
+    }
 
 
 def fitted(asked: Asked) -> Reply:
@@ -383,6 +403,23 @@ def for_controller(asked: Asked) -> Reply:
     return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
 
 
+def advised(asked: Asked) -> Reply:
+    """Return what ``rotcal plan advise`` says, given its ``arguments``; without any what it knows.
+
+    Raises ConfigurationError where the package is missing, or the arguments are none of it.
+    """
+    advise = plugins.extension(plugins.PLANS, "advise", "advice before a measurement")
+    with redirect_stdout(StringIO()) as printed:
+        try:
+            advise.main([*map(str, asked.options["arguments"]), "--json"], standalone_mode=False)
+        except UsageError as error:
+            raise ConfigurationError(error.format_message()) from error
+    found: Reply = json.loads(printed.getvalue())
+    for way in found.get("ways", ()):
+        way["refused"] = _at_boxes(way["refused"], asked)
+    return found
+
+
 WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
     "fit": fitted,
     "explain": explained,
@@ -392,5 +429,6 @@ WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
     "pdf": as_pdf,
     "dcc": certified,
     "controller": for_controller,
+    "advise": advised,
 }
 """What the page may ask for."""

@@ -35,6 +35,7 @@ from starlette.types import ASGIApp, Scope
 from rotcal_ros import page
 from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.compensation.writing import check_file_name
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.files import naming
@@ -130,7 +131,7 @@ class Desk:
         methods = [(name, plain(title)) for name, title in TITLES.items()]
         return JSONResponse({
             "token": self.token, "names": self._names, "methods": methods, "method": DEFAULT,
-            "controllers": controller_names(),
+            "controllers": controller_names(), "advises": "advise" in plugins.names(plugins.PLANS),
         })  # fmt: skip
 
     async def take(self, request: Request) -> Response:
@@ -184,7 +185,9 @@ class Desk:
         what, options = request.path_params["what"], await json_of(request, MOST_ASKED)
         if what not in WORK or not options:
             raise ConfigurationError(f"cannot do {what!r:.80} with what was sent")
-        if TABLE not in self._names or (what == "verify" and AFTER not in self._names):
+        if (what != "advise" and TABLE not in self._names) or (
+            what == "verify" and AFTER not in self._names
+        ):
             raise ConfigurationError("there is no table yet: drop one on the page")
         changes = tuple(map(str, options.get("changes", ())))
         method = str(options.get("method", ""))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.foundation.errors import UndecidedError
+from rotcal_ros.foundation.errors import ConfigurationError, UndecidedError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.recordings.inputs import Input
 
@@ -153,3 +153,22 @@ def test_numbers_too_large_for_angles_are_offered_as_counts(tmp_path):
         tmp_path, counted() % N, "sheet.angle_unit=counts", TURN, head="commanded [deg],actual"
     )
     assert np.abs(ecc(found) - TRUTH).max() <= HALF
+
+
+def test_uncertainties_in_counts_have_no_sign_where_the_encoder_counts_down(tmp_path):
+    cells = [f"{c},0.5" for c in -counted() % N]
+    head = "commanded [deg],encoder [counts],standard uncertainty [counts]"
+    result = solved(tmp_path, cells, f"sheet.counts_per_turn={-N}", head=head)
+    assert np.abs(ecc(result) - TRUTH).max() <= HALF
+    assert result.std["ECC"] / ARCSEC == pytest.approx(np.hypot(1.8, 3.6 / np.sqrt(12.0)))
+
+
+def test_a_counter_of_the_motor_begins_anew_after_any_counts(tmp_path):
+    """A geared motor's encoder counts to 4000, seven times between two rows."""
+    turn = 288_000
+    counts = counted(turn) % 4000
+    assert question(tmp_path, counts, f"sheet.counts_per_turn={turn}") == ("sheet.counter", ["N"])
+    stated = f"sheet.counts_per_turn={turn}", "sheet.counter=4000"
+    assert np.abs(ecc(solved(tmp_path, counts, *stated)) - TRUTH).max() <= 648_000 / turn
+    with pytest.raises(ConfigurationError, match="expected the bits of the counter"):
+        solved(tmp_path, counts, stated[0], "sheet.counter=4000s")

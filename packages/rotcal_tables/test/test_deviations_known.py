@@ -117,6 +117,9 @@ def test_an_uncertainty_is_a_column_or_a_word_or_shown_by_runs_and_never_guessed
     with pytest.raises(UndecidedError, match="k = 1"):
         solved(table(tmp_path, head.format("U") + rows), SAID)
     single = "\n".join(f"{a},1,up,{a / 1e3}\n{a},1,down,{a / 2e3}" for a in (0, 120, 240))
+    copied = table(tmp_path, "angle_deg,deviation_arcsec\n0,1\n120,2.5\n240,-3\n120,2.5\n")
+    with pytest.raises(DataError, match="what was measured twice is the same"):
+        solved(copied)
     with pytest.raises(DataError, match="none was measured twice"):
         solved(table(tmp_path, f"angle [deg],run,direction,deviation [arcsec]\n{single}\n"), SAID)
     with pytest.raises(DataError, match="row 2: the uncertainty is"):

@@ -39,9 +39,17 @@ def test_runs_of_a_laser_are_read_with_their_directions_and_units_are_asked(tmp_
     (path := tmp_path / "c.rtl").write_text(rtl(), newline="")
     asked = CliRunner().invoke(rotcal, ["solve", str(path)])
     assert asked.exit_code == 2
-    assert "states no unit" in asked.stderr
-    stated = ["solve", str(path), "--set", "sheet.angle_unit=deg"]
-    assert "sheet.reading_unit=mrad" in CliRunner().invoke(rotcal, stated).stderr
+    unit, _, _, mrad, _, sign, deviations, _, all_of_it = asked.stderr.splitlines()[-9:]
+    assert unit.startswith("asked as well: ")
+    assert "the column 'deviation' (deviation) states no unit" in unit
+    assert mrad == "--set sheet.reading_unit=mrad: 4.4 mrad = 0.0044 rad"
+    assert sign.endswith("(commanded - actual) (if reading_unit=arcsec)")
+    assert deviations.startswith("--set sheet.values=deviations: there the axis stands 4.4 arcsec")
+    head, *words = all_of_it.split(" --set ")
+    assert head == "all at once:"
+    answers = dict(zip(words, ("deg", "arcsec", "deviations"), strict=True))
+    given = [f"--set={each.partition('=')[0]}={value}" for each, value in answers.items()]
+    assert CliRunner().invoke(rotcal, ["solve", str(path), *given]).exit_code == 0
     both = solved(path).directions["ECC"]
     assert both.angles / DEGREE == pytest.approx([0.0, 120.0, 240.0])
     assert both.forward / ARCSEC == pytest.approx([0.2, 3.3, -1.3])

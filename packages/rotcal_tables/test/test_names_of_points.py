@@ -99,6 +99,24 @@ def test_what_dmis_leaves_open_is_refused():
     with pytest.raises(BagError, match="the place of Esfera_10 is not Cartesian"):
         dmis.read(sample.replace("CART", "POL"))
     assert dmis.read(sample.replace("3,27.5", "3.5,27.5"))[1][3] == "3.5"
+    second = "FA(B)=FEAT/SPHERE,CART,1,2,3,27.5\n"
+    assert len(dmis.read(f"{sample}UNITS/MM\n{second}")) == 3
+    with pytest.raises(BagError, match="UNITS/ changes, MM and INCH"):
+        dmis.read(f"{sample}UNITS/INCH\n{second}")
+    for system in ("D(PART)=TRANS/XORIG,10", "RECALL/D(PART)"):
+        assert len(dmis.read(f"{system}\n{sample}{second}")) == 3
+        with pytest.raises(BagError, match="changes the coordinate system between features"):
+            dmis.read(f"{sample}{system}\n{second}")
+
+
+def test_a_list_of_points_without_a_head_is_stated_by_numbers(tmp_path):
+    lines = csv(tmp_path).read_text().splitlines()[1:]
+    bare = [" ".join(line.split(",")[:4]) for line in lines]
+    (path := tmp_path / "points.txt").write_text("// a program and its frame\n" + "\n".join(bare))
+    columns = tuple(f"{axis}=#{k}" for k, axis in enumerate("xyz", start=2))
+    assert rows(read(path, names=PATTERN, columns=columns, length_unit="mm")) == pytest.approx(
+        EXPECTED
+    )
 
 
 def test_names_are_asked_of_methods_alone_whose_values_stand_beside_them(tmp_path):

@@ -45,6 +45,17 @@ def test_columns_without_any_name_are_stated_by_their_numbers(tmp_path, separato
     assert_truth(path, **stated, angle_unit="deg", reading_unit="arcsec")
 
 
+@pytest.mark.parametrize("text", ["P{}", "12:00:{:02}", "ok"])
+@pytest.mark.parametrize("first", [True, False])
+def test_no_row_is_lost_where_texts_stand_beside_columns_without_names(tmp_path, text, first):
+    rows = zip(degrees(ANGLES, 0), seconds(OFF), strict=True)
+    lines = [[text.format(k), *row] if first else [*row, text.format(k)]
+             for k, row in enumerate(rows)]  # fmt: skip
+    (path := tmp_path / "t.csv").write_text("".join(",".join(line) + "\n" for line in lines))
+    columns = (f"angle=#{1 + first}", f"deviation=#{2 + first}")
+    assert_truth(path, columns=columns, angle_unit="deg", reading_unit="arcsec")
+
+
 def table(path: Path, head: list[str], columns: list[list[str]], separator: str = ",") -> Path:
     rows = [head, *map(list, zip(*columns, strict=True))]
     (path / "t.csv").write_text("".join(separator.join(row) + "\n" for row in rows), "utf-8")

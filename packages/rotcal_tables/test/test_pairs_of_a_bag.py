@@ -13,6 +13,7 @@ from other_messages import write_messages
 
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.recordings.inputs import Input
 from rotcal_tables.pair_verb import command
@@ -117,3 +118,108 @@ def test_what_a_bag_does_not_say_is_asked(bag, tmp_path):
     never = taken(bag, out, *joint, "--period", str(N), "--rest", "5")
     assert "never stood for 5 s" in str(never.exception)
     assert not out.exists()
+
+
+def joints_bag(path, states, hertz=20):
+    """A JSON bag: rests of 2 s at 0 and 90 degrees; ``states(k, angle)`` yields what is sent."""
+    rows = []
+    for k in range(4 * hertz):
+        angle = 0.0 if k < 2 * hertz else 90.0
+        at = START_NS + k * 1_000_000_000 // hertz
+        rows.append(("/drive", {"reference": angle}, at))
+        rows += [("/joints", state, at + 1 + n) for n, state in enumerate(states(k, angle))]
+    write_messages(path, "json", rows)
+    return path
+
+
+def of_joints(bag, out, field="position", *more):
+    return CliRunner().invoke(command, [
+        str(bag), "--commanded", "/drive:reference", "--actual", f"/joints:{field}",
+        "--commanded-unit", "deg", "--actual-unit", "deg", "-o", str(out), *more,
+    ])  # fmt: skip
+
+
+def actual(out):
+    return np.loadtxt(out, delimiter=",", skiprows=1)[:, 1]
+
+
+def in_turn(_, angle):
+    """Two drivers, a joint each, on one topic."""
+    yield {"name": ["tilt"], "position": [5.0 + angle]}
+    yield {"name": ["table"], "position": [angle + 0.01]}
+
+
+def in_changing_order(k, angle):
+    yield {
+        "name": ["tilt", "table"][:: 1 - 2 * (k % 2)],
+        "position": [5.0, angle + 0.01][:: 1 - 2 * (k % 2)],
+    }
+
+
+@pytest.mark.parametrize("states", [in_turn, in_changing_order])
+def test_a_joint_is_found_by_its_name_alone(states, tmp_path):
+    bag, out = joints_bag(tmp_path / "b.mcap", states), tmp_path / "pairs.csv"
+    for stated in ((), ("--joint", "tabel")):
+        asked = of_joints(bag, out, "position", *stated)
+        assert "say which by --joint" in str(asked.exception)
+        assert "table" in str(asked.exception)
+    assert of_joints(bag, out, "position", "--joint", "table").exception is None
+    assert actual(out) == pytest.approx([0.01, 90.01])
+    by_place = of_joints(bag, out, "position.0")
+    assert "changing order" in str(by_place.exception) or "by --joint" in str(by_place.exception)
+
+
+def test_a_number_without_a_name_is_found_by_its_place(tmp_path):
+    bag = joints_bag(tmp_path / "b.mcap", lambda _, angle: [{"position": [5.0, angle + 0.01]}])
+    out = tmp_path / "pairs.csv"
+    assert "say which, as /joints:position.0" in str(of_joints(bag, out).exception)
+    assert of_joints(bag, out, "position.1").exception is None
+    assert actual(out) == pytest.approx([0.01, 90.01])
+
+
+@pytest.mark.parametrize(
+    ("state", "why"),
+    [
+        ({"name": ["table"], "position": [None]}, "position is no number in 80 messages"),
+        ({"name": ["table"], "position": []}, "no position of table in 80 messages"),
+        ({"name": ["table"], "position": ["far"]}, "position cannot be read as a number"),
+        ({"name": ["table"], "velocity": [0.1]}, "has no field position; it has name, velocity"),
+    ],
+)
+def test_why_no_message_gives_a_number_is_said(state, why, tmp_path):
+    bag = joints_bag(tmp_path / "b.mcap", lambda *_: [state])
+    done = of_joints(bag, tmp_path / "pairs.csv", "position", "--joint", "table")
+    assert why in str(done.exception)
+
+
+def test_messages_that_give_no_number_are_counted_beside_those_that_do(tmp_path):
+    def states(k, angle):
+        yield {"position": [angle + 0.01] if k % 4 else ["far"]}
+
+    bag, out = joints_bag(tmp_path / "b.mcap", states), tmp_path / "pairs.csv"
+    assert "cannot be read as a number in 20 messages" in of_joints(bag, out).output
+    assert actual(out) == pytest.approx([0.01, 90.01])
+
+
+def test_a_rest_in_two_places_is_none(tmp_path):
+    """Two trackers on one topic, without names."""
+    rng = np.random.default_rng(3)
+
+    def states(_, angle):
+        yield {"position": angle + rng.normal(0.0, 1e-5)}
+        yield {"position": angle + 0.5 + rng.normal(0.0, 1e-5)}
+
+    done = of_joints(joints_bag(tmp_path / "b.mcap", states), tmp_path / "pairs.csv")
+    assert "commanded 90, 1.95 s: it is in two places, 0.4999" in done.output
+    assert isinstance(done.exception, BagError)
+
+
+def test_a_count_that_flickers_at_a_rest_is_no_wrap(tmp_path):
+    def states(k, angle):
+        yield {"position": round(angle * 100) + (k % 7 == 0)}
+
+    out = tmp_path / "pairs.csv"
+    bag = joints_bag(tmp_path / "b.mcap", states)
+    done = of_joints(bag, out, "position", "--actual-unit", "counts")
+    assert done.exception is None, done.exception
+    assert actual(out) == pytest.approx([1 / 7, 9000 + 1 / 7], abs=0.1)

@@ -1,6 +1,7 @@
 """``rotcal web`` in Chromium: a table is dropped, understood, corrected, solved; for everybody."""
 
 import base64
+import json
 import math
 import re
 from contextlib import contextmanager
@@ -10,9 +11,14 @@ from threading import Thread
 import pytest
 import uvicorn
 from accessibility import require_accessible, require_reachable
+from click.testing import CliRunner
 from exports import DATA, EXPORTS, MM, lines
+from test_files_of_instruments import rtl
 from test_page_language import english_words
 
+from rotcal_ros.cli.main import rotcal
+from rotcal_ros.foundation.plugins import PLANS, names
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.page.app import listen
 from rotcal_tables.web import make_app
 
@@ -195,6 +201,51 @@ def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):
     expect(page.locator("#error")).to_contain_text("states no unit", timeout=PATIENCE_MS)
 
 
+def test_what_fits_is_advised_as_at_the_terminal(opened):
+    if "advise" not in names(PLANS):
+        pytest.skip("rotcal_design is not installed")
+    page = opened(locale="en-GB", viewport={"width": 1280, "height": 1500})
+    page.get_by_text("Nothing measured yet?").click()
+    listing = page.get_by_role("button", name="List the methods")
+    page.get_by_label("polygon and autocollimator").check()
+    listing.click()
+    expect(page.locator("#advice_error")).to_contain_text("state a U", timeout=PATIENCE_MS)
+    page.get_by_label("touch probe of the machine tool").check()
+    page.get_by_label("ECC", exact=True).fill("2,5")
+    page.get_by_label("How well the machine measures").fill("0.8")
+    listing.click()
+    ways = page.locator("#ways article")
+    expect(ways).to_have_count(2, timeout=PATIENCE_MS)
+    arguments = ("--own", "probe", "--own", "polygon", "--want", "ECC=2.5", "--machine-um", "0.8")
+    asked = CliRunner().invoke(rotcal, ["plan", "advise", *arguments, "--json"])
+    for shown, way in zip(ways.all(), json.loads(asked.stdout)["ways"], strict=True):
+        assert shown.locator("h3").inner_text() == f"{way['title']} ({way['instrument']})"
+        words, u = shown.locator("p").first.inner_text(), way["expanded"]["ECC"] / ARCSEC
+        assert words.startswith("fits" if way["meets"] else "misses")
+        assert f"{way['seconds'] / 60:.2f} min" in words
+        assert f"U(ECC) {u:.2f} arcsec" in words
+        assert ", ".join(way["untested"]) in shown.inner_text()
+        assert shown.locator("code").inner_text() == way["command"]
+    require_accessible(page)
+
+
+def test_all_that_a_laser_s_file_leaves_open_is_asked_together(opened):
+    page = opened(locale="en-GB")
+    drop(page, "laser.rtl", rtl().encode())
+    expect(page.locator("#method")).to_have_value("deviations", timeout=PATIENCE_MS)
+    groups = page.locator("#answers .buttons")
+    expect(groups).to_have_count(3, timeout=PATIENCE_MS)
+    expect(groups.nth(1).locator("p")).to_contain_text("'deviation' (deviation) states no unit")
+    expect(groups.nth(2).locator("p")).to_contain_text("(if reading_unit=arcsec)")
+    assert "--set" not in page.locator("#error").inner_text()
+    require_accessible(page)
+    groups.nth(1).get_by_role("button", name="4.4 urad").click()
+    expect(groups).to_have_count(2, timeout=PATIENCE_MS)
+    groups.nth(1).get_by_role("button", name="stands 0.907565 arcsec too far").click()
+    page.get_by_role("button", name="240 deg").click()
+    expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
+
+
 def test_angles_of_a_table_count_where_no_plan_is_stated(opened):
     page = opened(locale="en-GB")
     table = Path(__file__).with_name("data").joinpath("lengths_5_degrees_on.csv").read_bytes()
@@ -283,7 +334,9 @@ def test_what_was_stated_outlasts_a_reload_and_another_language(opened):
     page.get_by_label("Take back: length = Other").wait_for()
     page.get_by_label("How it was measured").select_option("tracer_multistation")
     page.locator("[data-name='identity.serial']").fill("4711")
-    page.evaluate("document.querySelectorAll('details').forEach((e) => { e.open = true; })")
+    page.evaluate(
+        "document.querySelectorAll('details:not(#advice *)').forEach((e) => { e.open = true; })"
+    )
     page.locator("#instrument").select_option("machine")
     solve(page)
     page.get_by_label("None: the new table replaces").check()

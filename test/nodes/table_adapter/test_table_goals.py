@@ -10,7 +10,7 @@ from lone_adapters import expect
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
-pytestmark = [pytest.mark.ros, pytest.mark.long]  # make test-jazzy runs it: messages are compiled
+pytestmark = [pytest.mark.ros, pytest.mark.long]  # make test-kilted runs it: messages are compiled
 
 CASES = {
     "does well": ("30", "at rest at 30.000 deg"),

@@ -68,9 +68,16 @@ def advise(
     What is not given is asked for at a terminal. U, minutes and what stays untested are those of
     the plan that the command begins, by its own measurement with the stated noise. --set states
     more of your instruments, such as solver.length_std_m, planner.turn_s or planner.step_s, for
-    the methods that have it. The exit code is 1 if none meets the goal.
+    the methods that have it. The exit code is 1 if none meets the goal. --json without --own lists
+    the instruments and components.
     """
     from rotcal_design.advice import OWNED, Goal, advise
+
+    if as_json and not owned:
+        units = {name: dict(zip(("size", "unit"), unit_of(name), strict=True))
+                 for name in COMPONENTS}  # fmt: skip
+        print_json({"instruments": {n: what for n, (what, _) in OWNED.items()}, "units": units})
+        return 0
 
     asking = sys.stdin.isatty() and not as_json
     if asking and not owned:

@@ -91,10 +91,11 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     stated = read.points[:, 1] if read.points.shape[1] > 1 else np.zeros(len(values))
     stated = np.where(stated > 0.0, stated, configuration.solver.u_arcsec * ARCSEC)
     count = configuration.sheet.counts_per_turn
-    if not dof and not np.all(stated > 0.0):
+    if not scatter and not np.all(stated > 0.0):
+        known = "what was measured twice is the same" if dof else "none was measured twice"
         raise DataError(
-            f"{configuration.source}: nothing states how sure these deviations are, and none was "
-            "measured twice: add a column of standard uncertainties, or state one for all with "
+            f"{configuration.source}: nothing states how sure these deviations are, and {known}: "
+            "add a column of standard uncertainties, or state one for all with "
             "--reference-u ARCSEC (k = 1), solver.u_arcsec"
         )
     # a whole count hides up to half a count, the same in all runs

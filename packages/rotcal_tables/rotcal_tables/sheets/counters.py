@@ -8,12 +8,14 @@ from math import log2, remainder
 from statistics import median
 from typing import Final
 
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import TURN
 
 _NEAR: Final = 0.01
 """Share by which counts of a turn may differ from the slope of a table that shows them."""
-COUNTERS: Final = {"16": 1 << 16, "24": 1 << 24, "32": 1 << 32}
-"""What a counter of so many bits holds before it wraps."""
+BITS: Final = tuple(str(bits) for bits in range(8, 33))
+"""Bits of counters that are looked for where counts do not follow the table."""
+_MOST_BITS: Final = 64
 
 
 def slope(angles: Sequence[float], counts: Sequence[float]) -> float:
@@ -56,8 +58,23 @@ def likely(about: float) -> tuple[int, ...]:
     return tuple(n if about > 0.0 else -n for n in fits)
 
 
+def wraps_after(counter: str) -> int:
+    """Return after how many counts a counter begins anew, stated by its bits or by the counts.
+
+    >>> wraps_after("16"), wraps_after("4000")
+    (65536, 4000)
+    """
+    number = int(counter) if counter.isdecimal() else 0
+    if number < 2:
+        raise ConfigurationError(
+            f"sheet.counter={counter}: expected the bits of the counter, as 16, or the counts "
+            "after which it begins anew, as 4000"
+        )
+    return 1 << number if number <= _MOST_BITS else number
+
+
 def is_counter(cells: Sequence[float], bits: str) -> bool:
-    """Return whether whole numbers may be of a counter, signed or not, of so many bits."""
-    size = COUNTERS[bits]
-    whole = all(cell == int(cell) for cell in cells)
-    return whole and -size // 2 <= min(cells) and max(cells) < size
+    """Return whether counts, or means of them, may be of a counter of so many bits."""
+    size = wraps_after(bits)
+    low, high = min(cells), max(cells)
+    return high - low < size and -size // 2 <= low and high < size

@@ -25,11 +25,13 @@ from rotcal_ros.foundation.table_columns import (
     undecided,
 )
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
-from rotcal_tables.sheets.counters import COUNTERS, is_counter, likely
+from rotcal_tables.sheets.counters import BITS, is_counter, likely, wraps_after
 from rotcal_tables.sheets.words import ACTUAL, REVERSED, TABLE_ANGLE
 
 NEAR: Final = 0.25
 """Share of the smallest step of commanded angles within which an actual one belongs to it."""
+_OF_A_WRAP: Final = 0.125
+"""Share of the counts of a counter within which deviations show that it is this one."""
 _BY_ONE: Final = 0.2
 """By how much the slope of positions over commanded angles may differ from 1."""
 _MOST_OF_A_TURN: Final = 0.8 * TURN
@@ -150,7 +152,7 @@ class StatedDeviations:
         pairs = list(zip(measured.values, commanded.values, strict=True))
         found = [actual - angle for actual, angle in pairs]
         if counter:
-            period = measured.size * COUNTERS[counter]
+            period = measured.size * wraps_after(counter)
             for k, ((a, x), (b, y)) in enumerate(pairwise(pairs), start=1):
                 found[k] = found[k - 1] + _wrapped(b - a - _wrapped(y - x), period)
         first = found[0] if zero == "first" else Decimal(0)
@@ -179,9 +181,16 @@ class StatedDeviations:
             if ways:
                 raise self._other_way(ways, measured, found[0])
             cell, angle = measured.cells[k], commanded.cells[k]
+            place = f"{measured.text!r} is {cell} in row {self.rows[k]}, where {angle} was"
+            if measured.unit == COUNTS:
+                raise self._asked(
+                    f"{place} commanded: not by {round(float(_TURN / measured.size))} counts in a "
+                    "turn, nor by a counter that wraps at a power of two",
+                    {"N": "the counts after which the counter begins anew"},
+                    "sheet.counter",
+                )
             raise self._asked(
-                f"{measured.text!r} is {cell} in row {self.rows[k]}, where {angle} was commanded: "
-                "too far off for an actual position",
+                f"{place} commanded: too far off for an actual position",
                 {meaning("deviation", measured.text): f"the deviation at {angle} is {cell}"},
             )
 
@@ -203,12 +212,13 @@ class StatedDeviations:
         cells = [float(value / measured.size) for value in measured.values]
         counters = [self.settings.counter]
         if measured.unit == COUNTS and not self.settings.counter:
-            whole = [round(cell, 6) for cell in cells]
-            counters += [bits for bits in COUNTERS if is_counter(whole, bits)]
+            counters += [bits for bits in BITS if is_counter(cells, bits)]
         for counter in counters:
             for zero in (self.settings.zero, "first"):
                 found = self._differences(measured, commanded, counter, zero)
-                yield (counter, zero), float(max(map(abs, found)))
+                off = float(max(map(abs, found)))
+                if not counter or off <= _OF_A_WRAP * wraps_after(counter) * float(measured.size):
+                    yield (counter, zero), off
 
     def _other_way(
         self, ways: Mapping[tuple[str, str], float], measured: Angles, first: Decimal

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
@@ -244,14 +244,20 @@ def _first_words(layout: Layout) -> str:
     return ", ".join(text for _, cells in rows for text in texts_of(cells))[:_WORDS]
 
 
-def with_numbers(sheets: Iterable[Sheet]) -> list[Sheet]:
-    """Return those sheets that are columns of numbers without names, below #1, #2 and so on."""
-    found = []
+def with_numbers(sheets: Iterable[Sheet], named: Collection[str] = ()) -> list[Sheet]:
+    """Return those sheets that are columns of numbers without names, below #1, #2 and so on.
+
+    Texts may stand in other columns than those ``named`` by #1, #2 alone.
+    """
+    found, places = [], [_place(text) for text in named]
     for sheet in sheets:
         rows = [row for row in sheet.rows if len(texts_of(row[1])) > 1]  # without titles
         width = max((len(cells) for _, cells in rows), default=0)
         cells = [cell for _, cells in rows for cell in cells if cell != ""]
-        if width and all(number_of(cell) is not None for cell in cells):
+        first = [number_of(cell) for _, row in rows[:1] for cell in row]
+        stated = len(places) > 1 and all(0 <= k < len(first) and first[k] is not None
+                                         for k in places)  # fmt: skip
+        if width and (stated or all(number_of(cell) is not None for cell in cells)):
             head = tuple(f"#{place + 1}" for place in range(width))
             found.append(replace(sheet, rows=((0, head), *rows)))
     return found
@@ -331,10 +337,15 @@ def _of_rows(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) 
     return replace(best, length_unit=_stated_unit(sheet, best.first))
 
 
+def _place(text: str) -> int:
+    """Return the place, from 0, of a column that a person named by #1, #2; -1 for another."""
+    return int(text[1:]) - 1 if re.fullmatch(r"#\d{1,4}", text) else -1
+
+
 def _above_numbers(sheet: Sheet, first: int, named: Mapping[str, str]) -> bool:
     """Return whether columns that a person named by #1, #2 have a number in a row."""
     cells = dict(enumerate(sheet.rows[first][1])) if first < len(sheet.rows) else {}
-    places = [int(text[1:]) - 1 for text in named.values() if re.fullmatch(r"#\d{1,4}", text)]
+    places = [place for text in named.values() if (place := _place(text)) >= 0]
     return not places or any(number_of(cells.get(place, "")) is not None for place in places)
 
 

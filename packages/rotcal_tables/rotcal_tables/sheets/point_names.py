@@ -15,7 +15,7 @@ from typing import Final
 from rotcal_ros.foundation.errors import ConfigurationError, UndecidedError
 from rotcal_ros.foundation.table_columns import TableColumn, undecided
 from rotcal_ros.foundation.tables import Header
-from rotcal_tables.sheets.files import Sheet
+from rotcal_tables.sheets.files import Cell, Sheet
 from rotcal_tables.sheets.words import known_columns
 
 _PLACE: Final = re.compile(r"\{(\w+)\}")
@@ -42,7 +42,7 @@ def with_names_apart(sheet: Sheet, pattern: str) -> Sheet:
     if not places:
         return sheet
     at, width = min(places), max(len(cells) for _, cells in sheet.rows)
-    rows = []
+    rows = list[tuple[int, tuple[Cell, ...]]]()
     first = next(k for k, (_, cells) in enumerate(sheet.rows) if _match(shape, cells, at))
     above = [k for k, (_, cells) in enumerate(sheet.rows[:first]) if cells[at : at + 1] != ("",)]
     head = above[-1] if above else -1
@@ -51,6 +51,8 @@ def with_names_apart(sheet: Sheet, pattern: str) -> Sheet:
         more = names if k == head else found.groups() if found else [""] * len(names)
         bare = cells if not found and k != head else (*cells[:at], "", *cells[at + 1 :])
         rows.append((number, (*bare, *[""] * (width - len(bare)), *more)))
+    if head < 0:
+        rows.insert(0, (0, (*(f"#{place + 1}" for place in range(width)), *names)))
     return replace(sheet, rows=tuple(rows))
 
 

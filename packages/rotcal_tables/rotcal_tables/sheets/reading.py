@@ -80,6 +80,8 @@ from rotcal_tables.sheets.words import (
     label_of,
 )
 
+_WITHOUT_SIGN: Final = frozenset({"u", "expanded", "uncertainty"})
+"""Columns that are the same whichever way an encoder counts."""
 _OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
 """Columns as messages call them."""
 _SMALL: Final = ("arcsec", "urad", "mrad", "deg")
@@ -128,7 +130,7 @@ class AnyForm:
         if settings.names:
             found = [with_names_apart(grid, settings.names) for grid in raw]
         if any(text.startswith("#") for text in named.values()):
-            found = with_numbers(found) or found
+            found = with_numbers(found, named.values()) or found
         found = list(map(upright, found))
         layout = best_layout(found, headers, named, str(path), settings.table)
         require_named(path, headers, named, layout.head if layout else likely_head(found))
@@ -425,7 +427,10 @@ class _Rows:
             measure = self._sixtieths(number, value, measure, use, name)
         unit = measure.unit or self._unit(use, quantity, value, name)
         found = in_si(measure, unit)
-        return str(found / self._counts(name, use) if unit == COUNTS else found)
+        if unit != COUNTS:
+            return str(found)
+        counts = self._counts(name, use)  # below 0 where they go against the table
+        return str(found / (abs(counts) if name in _WITHOUT_SIGN else counts))
 
     def _counts(self, name: str, use: Use) -> int:
         """Return how many counts of a column make a turn; a question where nobody says it."""
@@ -770,8 +775,10 @@ def _listed(texts: Sequence[str]) -> list[int]:
 def _named_by(cells: Sequence[Cell]) -> set[str]:
     """Return the columns that cells name, if they are two or more names and nothing else."""
     texts = [cell for cell in cells if cell != ""]
-    named = [columns_of(Heading.of(cell)) for cell in texts if isinstance(cell, str)]
-    return set().union(*named) if len(named) == len(texts) > 1 and all(named) else set()
+    if len(texts) < 2 or any(map(is_number, texts)):
+        return set()
+    named = [columns_of(Heading.of(text_of(cell))) for cell in texts]
+    return set().union(*named) if all(named) else set()
 
 
 def _is_nest(row: Mapping[str, tuple[Cell, Use]]) -> bool:

@@ -1,6 +1,7 @@
 // The page of rotcal web: a table is dropped, looked at, corrected, solved and taken along.
 import { redraw } from "./charts.js";
 import { controllerChanged, nothingAccepted, nothingWritten, writeFiles } from "./web_controller.js";
+import { advise, offerAdvice } from "./web_advice.js";
 import { begin, by, desk, typed } from "./web_desk.js";
 import { dropped, dropping, files } from "./web_files.js";
 import { form, oneInstrument, select } from "./web_form.js";
@@ -11,12 +12,13 @@ import { offerLanguages, say, t, translatePage } from "./words.js";
 
 translatePage();
 offerLanguages();
-const { methods, method, controllers } = await begin();
+const { methods, method, controllers, advises } = await begin();
 by("method").append(...select(methods.map(([name, title]) => [name, say(title)])).children);
 by("method").value = desk.typed.get("method") ?? method;
 by("controller").append(...select([["", t("choose …")], ...controllers.map((name) => [name, name])]).children);
 by("controller").value = "";
 by("reading").append(...readingFields());
+by("advice").hidden = !advises;
 files();
 await form();
 by("held_field").hidden = !by("in_force_add").checked;
@@ -28,6 +30,8 @@ by("form").addEventListener("change", ({ target }) => { if (target.dataset.name)
 by("instrument").addEventListener("change", oneInstrument);
 by("solve").addEventListener("click", () => { nothingWritten(); nothingAccepted(); nothingVerified(); solve(); });
 by("after").addEventListener("change", measuredAgain);
+by("advice").addEventListener("toggle", offerAdvice, true);
+by("advice_form").addEventListener("submit", advise);
 by("controller_form").addEventListener("submit", writeFiles);
 by("controller_form").addEventListener("change", controllerChanged);
 for (const name of ["dragover", "dragleave", "drop"]) document.addEventListener(name, dropping);

@@ -31,12 +31,21 @@ export function trouble(error) {
   by("error").hidden = !error;
   text("error_words", say(error?.text ?? ""));
   by("error_log").replaceChildren(...(error?.log ?? []).map((line) => element("li", line)));
-  by("answers").replaceChildren(...(error?.question?.answers ?? []).map(([value, words]) => {
-    const button = element("button", words);
-    button.addEventListener("click", () => correct(error.question.setting, value));
-    return button;
-  }));
+  by("answers").replaceChildren(...answers(error, correct));
   atFields(error);
+}
+export function answers(error, chosen) { // buttons for a question, and for all that are asked besides
+  const { question } = error ?? {};
+  return (question ? [question, ...question.also] : []).map(({ setting, found, answers: ways }, place) => {
+    const group = element("div", "", "buttons");
+    if (place) group.append(element("p", say(found)));
+    group.append(...ways.map(([value, words]) => {
+      const button = element("button", words);
+      button.addEventListener("click", () => chosen(setting, value));
+      return button;
+    }));
+    return group;
+  });
 }
 
 export function asTold() { // another table: nothing of it is corrected

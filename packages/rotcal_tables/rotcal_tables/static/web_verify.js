@@ -1,7 +1,7 @@
 // A second table, measured with the compensation in force: does it act?
 import { ask, by } from "./web_desk.js";
 import { work } from "./web_form.js";
-import { grid } from "./web_reading.js";
+import { answers, grid } from "./web_reading.js";
 import { element, say, t } from "./words.js";
 
 const VERDICTS = { ok: t("The table acts"), suspect: t("More is left than the uncertainties explain"), failed: t("The table does not act as it should") };
@@ -27,14 +27,10 @@ async function verify() {
   else show(reply);
 }
 function refused(error) {
-  const log = element("ul", "", "small"), buttons = element("div", "", "buttons");
+  const log = element("ul", "", "small");
   log.append(...error.log.map((line) => element("li", line)));
-  buttons.append(...(error.question?.answers ?? []).map(([value, words]) => {
-    const button = element("button", words);
-    button.addEventListener("click", () => { stated.push(stating(error.question.setting, value)); verify(); });
-    return button;
-  }));
-  by("after_error").replaceChildren(element("p", say(error.text)), log, buttons);
+  const buttons = answers(error, (setting, value) => { stated.push(stating(setting, value)); verify(); });
+  by("after_error").replaceChildren(element("p", say(error.text)), log, ...buttons);
   by("after_error").hidden = false;
 }
 const stating = (setting, value) => `${setting}=${setting === "sheet.columns" ? JSON.stringify([value]) : value}`;

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -148,7 +148,8 @@ def joining_map(position: Ints, zero: Ints, n: int) -> Floats:
 def connected_islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:
     """Return the island of each position (n,) and of each set; one island: all are tied."""
     sets = int(zero.max()) + 1
-    links = coo_array((np.ones(len(position)), (position, n + zero)), shape=(n + sets, n + sets))
+    # a matrix, not an array: of 64-bit indices scipy 1.11 makes labels that are wrong
+    links = coo_matrix((np.ones(len(position)), (position, n + zero)), shape=(n + sets, n + sets))
     _, label = connected_components(links, directed=False)
     return label[:n].astype(np.int64), label[n:].astype(np.int64)
 

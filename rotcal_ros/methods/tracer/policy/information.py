@@ -28,7 +28,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array, diags_array, vstack
+from scipy.sparse import csr_array, diags, vstack
 
 from rotcal_ros.adjust.bordered import Groups, SparseDesign
 from rotcal_ros.adjust.distributions import normal_isf
@@ -148,7 +148,7 @@ class Scene:
             held = np.delete(np.arange(empty.size), target)
             entries = nominal[held], held, np.arange(len(held) + 1)
             stated = [across, *along, *target_knowledge(empty, self.target_std, free=False)]
-            parts = [diags_array(1.0 / each.std) @ each.rows for each in stated]
+            parts = [diags(1.0 / each.std) @ each.rows for each in stated]
             first = csr_array(entries, shape=(len(held), empty.size))
             self._known[segments] = csr_array(vstack([first, *parts], format="csr"))
         return self._known[segments]
@@ -334,7 +334,7 @@ class Information:
         stated = last + (n * np.arange(3)[:, None] + touched).ravel()
         known = known[np.append(np.arange(last), stated)][:, self._unknown]
         rows, variance = self._rows(lengths)
-        rows = diags_array(np.sqrt(lengths.weight / variance)) @ rows
+        rows = diags(np.sqrt(lengths.weight / variance)) @ rows
         few = csr_array(vstack([rows, known], format="csr"))
         shared = np.searchsorted(self._unknown, left)
         design = SparseDesign(few, np.zeros((0, few.shape[1])), groups=Groups.of(few, shared))

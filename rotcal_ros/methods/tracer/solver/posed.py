@@ -370,7 +370,7 @@ def carrying_axis(stations: Floats, angles: Floats) -> tuple[Floats, Floats, Flo
     local = stations @ axes  # = centre + Rz(angle) q
     about = rotation_about_z(angles)[:, :2, :2]
     design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
-    found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
+    found = np.linalg.lstsq(design, local[:, :2].ravel(), rcond=None)[0]
     return axes, np.array([*found[2:], 0.0]), axes @ [*found[:2], local[:, 2].mean()]
 
 

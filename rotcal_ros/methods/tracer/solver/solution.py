@@ -11,7 +11,7 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array, hstack, kron
+from scipy.sparse import csr_array, hstack, identity, kron
 from scipy.special import ndtr
 
 from rotcal_ros.adjust.bordered import SparseDesign
@@ -559,7 +559,7 @@ def _gains(posed: PosedProblem, fit: Fit, state: Floats) -> csr_array:
     by_length = csr_array((own[:, :3].ravel(), (row[0], column[0])), shape=(3 * m, k))
     each = (own[:, :3, None] * beam[:, None]).ravel(), (row[1], column[1])
     by_target = csr_array(each, shape=(3 * m, posed.grid.targets.size))
-    moves = kron(eye_array(m), lengths.axes, format="csr")
+    moves = kron(identity(m), lengths.axes, format="csr")
     of_known = by_target @ known[:, begin : begin + posed.grid.targets.size].T
     return csr_array(hstack([by_length, of_known + moves @ known[:, : 3 * m].T], format="csr"))
 

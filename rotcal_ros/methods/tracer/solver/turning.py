@@ -30,7 +30,7 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import solve_banded, solve_toeplitz
-from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
+from scipy.sparse import block_diag, csr_array, hstack, identity, kron
 
 from rotcal_ros.adjust.bordered import SparseDesign
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
@@ -240,7 +240,7 @@ class TimeCorrelatedLengths:
             pick = csr_array((np.ones(count), mine, np.arange(count + 1)), shape=(count, m))
             every.append(pick.T @ hstack(back, format="csr") @ pick)
         whole = csr_array(sum(every[1:], every[0]))
-        rest = eye_array(self.lengths.size - self._own)
+        rest = identity(self.lengths.size - self._own)
         parts = [*(_kron(whole, ways) for ways in self._ways), rest]
         return csr_array(block_diag(parts, format="csr"))
 
@@ -296,7 +296,7 @@ class TimeCorrelatedLengths:
         parts = []
         for rows in np.split(np.arange(k, n), np.flatnonzero(np.diff(component[k:n])) + 1):
             whole = local[rows].nnz and len(rows) % m == 0
-            parts.append(_kron(self.at_places, len(rows) // m) if whole else eye_array(len(rows)))
+            parts.append(_kron(self.at_places, len(rows) // m) if whole else identity(len(rows)))
         news, slowly = (csr_array(block_diag([w, *parts], format="csr")) for w in (own, slow))
         return news, slowly, grown
 
@@ -317,7 +317,7 @@ def _product(series: list[Floats], lag: int) -> float:
 
 def _kron(each: csr_array, ways: int) -> csr_array:
     """Return what does the same as ``each`` (m, m) to each of several ways of a position."""
-    return csr_array(kron(each, eye_array(ways), format="csr"))
+    return csr_array(kron(each, identity(ways), format="csr"))
 
 
 def _news(own: Ints, before: Ints, ahead: Floats, left: Floats) -> csr_array:
