@@ -283,7 +283,7 @@ def _observe(
     stamps, values = read.stamps[rows], read.values[rows]
     ahead = passed.at(stamps)
     near = np.abs(ahead) < step.passing
-    missing = _missing(values[:, SEQUENCE], ahead, step.passing)
+    missing = missing_readings(values[:, SEQUENCE], ahead, step.passing)
     stamps, values, ahead = stamps[near], values[near], ahead[near]
     if reason := why_no_reading_counts(passed, ahead, step, settings):
         reduced = ReducedWindow(reason=reason)
@@ -338,7 +338,7 @@ def _reduced(
     )
 
 
-def _missing(sequence: Floats, ahead: Floats, passing: float) -> int:
+def missing_readings(sequence: Floats, ahead: Floats, passing: float) -> int:
     """Return how many readings (n,) up to ``passing`` (rad) beside an angle are missing.
 
     By their numbers; an instrument that does not number them misses none.

@@ -262,6 +262,11 @@ class Beam:
         self._good: tuple[int, float] | None = None  # stamp and length of the last usable one
         self._lost = False
 
+    @property
+    def begins(self) -> list[int]:
+        """The stamps at which segments but the first begin."""
+        return [stamp for _, stamp in self._begins]
+
     def follow(
         self, stamps: Stamps, sequence: Floats, length: Floats, usable: Bools, broken: Bools
     ) -> None:

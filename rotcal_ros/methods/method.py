@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from rotcal_ros.adjust.model import CurveModel
     from rotcal_ros.capture.attempt import CaptureRules
+    from rotcal_ros.capture.unordered import UnorderedStreams
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.foundation.results import Result
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances
     from rotcal_ros.methods.figures import Figure
+    from rotcal_ros.methods.measurements import PlannedMeasurements
     from rotcal_ros.methods.result_tables import ResultTable
     from rotcal_ros.methods.simulation.cell import SimulatedCell
     from rotcal_ros.methods.simulation.instrument import MakeInstrument
@@ -156,6 +158,9 @@ class Method:
     ``model_of_curves`` returns accepted observations as the model of a solution with other
     instruments; without it, or for None, the result stands for them.
 
+    ``of_turns`` takes a configuration, lengths and angles of a table that turned without orders,
+    and the name of their source, and returns what was measured; without it they are not read.
+
     ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
     says in words what the observations so far show about a person's work (see
@@ -193,6 +198,7 @@ class Method:
     check_plan: Callable[[Configuration, Plan], None] | None = None
     plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
     table: TableReader | None = None
+    of_turns: Callable[[Configuration, UnorderedStreams, str], PlannedMeasurements] | None = None
     short_setup: Callable[[Mapping[str, Any]], Mapping[str, Any]] = dict
     figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = (
         lambda _result, _truth: ()

@@ -39,6 +39,7 @@ from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.instruments.steps import StepFinder
 from rotcal_ros.capture.publishers import unique_run_name
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_clock_rejection, reject_observation
+from rotcal_ros.capture.unordered import UnorderedStreams
 from rotcal_ros.foundation.clock_jumps import jumps_from_metadata
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
 from rotcal_ros.foundation.in_force import describe_contradiction, states_of_axis
@@ -58,7 +59,7 @@ from rotcal_ros.recordings.missing_data import (
     match_recorded_dropouts,
     require_accepted,
 )
-from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
+from rotcal_ros.recordings.streams import SLICE_NS, TIMED, RecordConsumer, StreamFeeder
 from rotcal_ros.recordings.topics import RoleMessages, Topics, read_single_cell
 
 if TYPE_CHECKING:
@@ -305,10 +306,13 @@ def _recording(
     texts = (attachments.get(names.CONFIGURATION, b"").decode(errors="replace"), *planned)
     set_ups = tuple(recorded_setup.recorded_configurations(texts))
     recorded_setup.require_same_method(configuration, set_ups, path)
-    captured = _captured(feeder, contents, configuration, set_ups)
+    if source == "streams" and configuration.method.of_turns and contents.without_orders:
+        calibration, captured, feeder = _turns(asked, calibration, topics)
+    else:
+        captured = _captured(feeder, contents, configuration, set_ups)
     broken = _unread(contents, topics)
     subjects = tuple(recorded_setup.recorded_subjects(texts, contents.scans))
-    as_recorded = recorded_setup.with_recorded_facts(configuration, subjects)
+    as_recorded = recorded_setup.with_recorded_facts(calibration.configuration, subjects)
     clocks = filter(None, [feeder.offset or feeder.doubt])
     return Recording(
         calibration=replace(calibration, configuration=as_recorded),
@@ -331,6 +335,26 @@ def _recording(
         foreign_plans=len(foreign),
         stream_faults=tuple(feeder.joints.faults()) if source == "streams" else (),
     )
+
+
+def _turns(
+    asked: _ReadRequest, calibration: methods.Calibration, topics: Topics
+) -> tuple[methods.Calibration, tuple[Observation, ...], StreamFeeder]:
+    """Return the plan and the lengths of turns that nobody ordered, and what read them.
+
+    Raises DataError where it is not known which joint is the table.
+    """
+    configuration, streams = calibration.configuration, UnorderedStreams()
+    make = partial(_feeder, calibration, configuration, lambda _run: streams)
+    passes = partial(read_blocks, asked.files, None, asked.limits)
+    tolerance_ns = _allowed_disorder_ns(configuration)
+    _, feeder, _ = _read_in_order(passes, topics, make, "streams", tolerance_ns)
+    if open_question := next(feeder.joints.faults(), None):
+        raise DataError(open_question)
+    assert configuration.method.of_turns is not None
+    found = configuration.method.of_turns(configuration, streams, str(asked.path))
+    offsets = [feeder.offset] * len(found.observations)
+    return found.calibration, apply_clock_limit(found.observations, offsets, ()), feeder
 
 
 def _captured(
@@ -381,10 +405,14 @@ def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
     ]
 
 
-def _feeder(calibration: methods.Calibration, configuration: Configuration) -> StreamFeeder:
-    """Return a feeder that captures the streams again as they were planned."""
+def _feeder(
+    calibration: methods.Calibration,
+    configuration: Configuration,
+    make: Callable[[int], RecordConsumer] | None = None,
+) -> StreamFeeder:
+    """Return a feeder that captures the streams again as they were planned, or for ``make``."""
     return StreamFeeder(
-        calibration.capture,
+        make or calibration.capture,
         configuration.cell.joint,
         lambda: StepFinder(
             calibration.plan,
@@ -413,6 +441,10 @@ def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
         )
 
 
+_STREAMS: Final = {names.TRACER_LENGTH, names.JOINT_STATES}
+_ORDERS: Final = {names.PLAN, names.TABLE_ANGLE, names.PROBE_TARGET, names.PROBE_POINT}
+
+
 @dataclass
 class _BagContents:
     """What the files of a bag hold besides the streams."""
@@ -425,6 +457,12 @@ class _BagContents:
     scans: list[Scan] = field(default_factory=list)
     order: TimeOrders = field(default_factory=TimeOrders)
     decoders: recorded_setup.Decoders = field(default_factory=dict)
+    roles: set[str] = field(default_factory=set)
+
+    @property
+    def without_orders(self) -> bool:
+        """Whether lengths and angles are all there is: no plan, no order, no place of a probe."""
+        return self.roles >= _STREAMS and not self.roles & _ORDERS
 
     def other_axes(self, axis: str) -> tuple[str, ...]:
         """Return for which axes beside ``axis`` tables were announced."""
@@ -492,6 +530,7 @@ def _read(
         timed = [(part.decoder, part.rows) for part in parts if part.role in TIMED]
         contents.order.look(block, timed, scan.path.name, run)
         for part in parts:
+            contents.roles.add(part.role)
             with part.checked():
                 contents.add(part, block)
         if feeder is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -30,7 +31,7 @@ from rotcal_ros.methods.arrivals import (
 )
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
-from rotcal_ros.methods.tracer import table
+from rotcal_ros.methods.tracer import table, turning_readings
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
@@ -232,6 +233,7 @@ METHOD: Final = Method(
         again={"order": TARGETS_PER_STATION},
         with_angles=table.TURNS.headers,
     ),
+    of_turns=partial(turning_readings.of_streams, table.TURNS),
     figures=plugins.lazy_load("rotcal_ros.methods.tracer.figures:figures"),
     tables=plugins.lazy_load("rotcal_ros.methods.tracer.figures:tables"),
     disturbances=plugins.lazy_load("rotcal_ros.methods.tracer.simulation:DISTURBANCES"),

@@ -55,8 +55,6 @@ STATIONS: Final[tuple[Header, ...]] = (
     ("position", "x_m", "y_m", "z_m", DISTANCE),
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
-PLACES: Final = ("targets_m", "box_centre_m", "box_size_m", "box_points")
-"""Settings of a plan that say where the targets are."""
 PAIRS: Final = ("step", "table_position", "target")
 TARGETS_FILE: Final = "targets.csv"
 PAIRS_FILE: Final = "pairs.csv"
@@ -203,7 +201,7 @@ def read_lengths(
 
 def _require_places(configuration: Configuration, table: Table, targets: Table | None) -> None:
     """Raise ConfigurationError for lengths to targets that are nowhere."""
-    if targets is None and not any(f"plan.{name}" in configuration.given for name in PLACES):
+    if targets is None and not turning_table.places_stated(configuration):
         raise ConfigurationError(
             f"{table.path} needs the places of its targets, and {configuration.source} states "
             f"none: give --targets TARGETS.csv with the columns {','.join(TARGETS)} (in Python "

@@ -1,4 +1,4 @@
-"""Readings of a tracer on a table that turned, as a table: ``time_s,angle_deg,length_m[,target]``.
+"""Readings of a tracer on a table that turned: of a table, or of streams without orders.
 
 Each row is one reading, and where the feedback of the table was at that moment; an empty length
 is a broken beam. Turns are found by themselves: one goes from before the first angle to behind the
@@ -15,10 +15,16 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.capture.passage import Passage, reduce_passing_lengths, why_no_reading_counts
-from rotcal_ros.capture.window import ReadingFault, ReducedWindow
+from rotcal_ros.capture.passage import (
+    Passage,
+    missing_readings,
+    reduce_passing_lengths,
+    why_no_reading_counts,
+)
+from rotcal_ros.capture.unordered import UnorderedStreams
+from rotcal_ros.capture.window import SEQUENCE, ReadingFault, ReducedWindow
 from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.language import NOTHING
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.tables import Table, table_hashes
@@ -31,6 +37,7 @@ from rotcal_ros.methods.tracer.turning_table import (
     AS_STATED,
     PLACE,
     TurningTables,
+    places_stated,
     planned,
     run_of,
     speeds_of,
@@ -46,18 +53,21 @@ _LEAST: Final = 3
 
 @dataclass(frozen=True, eq=False)
 class _RawReadings:
-    """All readings of a ``table``, (n,): seconds, degrees without a wrap, metres, and targets.
+    """All readings of a ``source``, (n,): stamps, ns, and degrees without a wrap.
 
-    A length is nan where the beam was broken; ``target`` is None where no column names it, and
-    ``place`` is 0 then.
+    ``values`` (n, 3) are those of an admitted tracer stream. ``beam``: how often the zero of the
+    lengths was lost before. ``target`` is None where nothing names it, and ``place`` is 0 then.
+    ``begin_ns``: from when on seconds count for people.
     """
 
-    table: Table
-    time: Floats
+    source: str
+    stamps: Stamps
     angle_deg: Floats
-    length: Floats
-    target: Ints | None
+    values: Floats
+    beam: Ints
     place: Ints
+    target: Ints | None = None
+    begin_ns: int = 0
 
     @classmethod
     def of(cls, table: Table) -> _RawReadings:
@@ -75,8 +85,21 @@ class _RawReadings:
         if np.abs(time[[0, -1]]).max() > LATEST_S:
             raise DataError(f"{table.path}: {TIME} is {time[-1]:g} s; are these milliseconds?")
         whole = np.unwrap(angle, period=_TURN_DEG)
-        targets = None if target is None else np.array(target)
-        return cls(table, time, whole, length, targets, np.array(place))
+        dark = np.isnan(length)
+        fault = np.where(dark, ReadingFault.BEAM_BROKEN, ReadingFault.NONE)
+        return cls(
+            str(table.path),
+            np.round(time / NANOSECOND).astype(np.int64),
+            whole,
+            np.column_stack([np.arange(len(time)), length, fault]),
+            np.cumsum(dark),
+            np.array(place),
+            None if target is None else np.array(target),
+        )
+
+    def seconds(self, rows: slice) -> Floats:
+        """Return when ``rows`` were read."""
+        return np.asarray((self.stamps[rows] - self.begin_ns) * NANOSECOND)
 
     def about(self, middle_deg: float) -> _RawReadings:
         """Return them with angles, whole turns apart, as near to ``middle_deg`` as can be."""
@@ -103,7 +126,35 @@ def read(
     ``targets``: in place of the plan's. Without angles in the set-up, a whole turn by degrees.
     Raises DataError where there are no turns, or none knows which targets they are of.
     """
-    readings, passing = _RawReadings.of(table), configuration.plan.passing_deg
+    calibration, seen = _lengths(form, configuration, _RawReadings.of(table), targets)
+    return PlannedMeasurements(calibration, seen, table_hashes(table))
+
+
+def of_streams(
+    form: TurningTables, configuration: Configuration, streams: UnorderedStreams, source: str
+) -> PlannedMeasurements:
+    """Return the lengths at the table angles of streams that nobody ordered, as :func:`read`."""
+    if not places_stated(configuration):
+        raise ConfigurationError(
+            f"{source} needs the places of its targets, and {configuration.source} states none: "
+            "state plan.targets_m, targets_file, or box_centre_m, box_size_m and box_points"
+        )
+    stamps, angle, values, beam = streams.readings(configuration.capture)
+    nowhere, begin_ns = np.zeros(len(stamps), dtype=np.int64), int(stamps[0])
+    readings = _RawReadings(
+        source, stamps, angle / DEGREE, values, beam, nowhere, begin_ns=begin_ns
+    )
+    return PlannedMeasurements(*_lengths(form, configuration, readings, ()))
+
+
+def _lengths(
+    form: TurningTables,
+    configuration: Configuration,
+    readings: _RawReadings,
+    targets: tuple[Point, ...],
+) -> tuple[Calibration, tuple[Observation, ...]]:
+    """Return the plan that readings show, and its lengths."""
+    passing = configuration.plan.passing_deg
     wanted = _wanted(configuration, readings)
     readings = readings.about(0.5 * (wanted[0] + wanted[-1]))
     found = _turns(readings, wanted[0] - passing, wanted[-1] + passing)
@@ -116,20 +167,19 @@ def read(
     found = _with_targets(_with_places(found, readings, places), readings, of, len(speeds), places)
     steps = form.steps(calibration.plan)
     check, observations = LengthCheck(calibration.plan), list[Observation]()
-    attempts, segment = Counter[tuple[int, int, int]](), 0
-    for turn in found:
-        place = f"{table.path}, from {readings.time[turn.rows][0]:.6g} s on"
+    attempts = Counter[tuple[int, int, int]]()
+    for number, turn in enumerate(found):
+        place = f"{readings.source}, from {readings.seconds(turn.rows)[0]:.6g} s on"
         run = run_of(turn.speed, turn.speed, place, speeds)
         count = len(wanted)
         sense = 1 if turn.speed > 0.0 else -1
         passed = [steps[turn.place, run, k, turn.target] for k in range(count)][::sense]
         for step in passed:
-            seen = _observed(readings, turn, step, calibration, segment)
+            seen = _observed(readings, turn, step, calibration, number)
             seen = replace(seen, attempt=attempts[turn.place, run, turn.target])
             observations.append(check(seen))
         attempts[turn.place, run, turn.target] += 1
-        segment += 1 + int(np.isnan(readings.length[turn.rows]).sum())
-    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
+    return calibration, tuple(observations)
 
 
 def _alike(own: float, stated_deg_s: float) -> bool:
@@ -144,7 +194,7 @@ def _wanted(configuration: Configuration, readings: _RawReadings) -> Floats:
     least, most = float(readings.angle_deg.min()), float(readings.angle_deg.max())
     if most - least < _TURN_DEG + 2.0 * configuration.plan.passing_deg:
         raise DataError(
-            f"{readings.table.path}: the table turned from {least:.4g} to {most:.4g} deg, which "
+            f"{readings.source}: the table turned from {least:.4g} to {most:.4g} deg, which "
             "is no whole turn: at which angles are lengths wanted? State plan.table_start_deg, "
             "table_step_deg and table_positions"
         )
@@ -162,11 +212,11 @@ def _turns(readings: _RawReadings, first_deg: float, last_deg: float) -> list[_F
         rows = slice(int(outside[at]), int(outside[at + 1]) + 1)
         if rows.stop - rows.start < _LEAST:
             continue
-        time, way = readings.time[rows], angle[rows]
+        time, way = readings.seconds(rows), angle[rows]
         found.append(_FoundTurn(rows, float((way[-1] - way[0]) / (time[-1] - time[0]))))
     if not found:
         raise DataError(
-            f"{readings.table.path}: the table never turned from {first_deg:g} to {last_deg:g} "
+            f"{readings.source}: the table never turned from {first_deg:g} to {last_deg:g} "
             f"deg or back, it went from {angle.min():.4g} to {angle.max():.4g} deg: correct the "
             "angles that the plan wants, or plan.passing_deg"
         )
@@ -191,7 +241,7 @@ def _with_targets(
         if here[place] != targets * speeds:
             where = f" at place {place}" if places > 1 else ""
             raise DataError(
-                f"{readings.table.path}: found {here[place]} turns{where}, expected one at each "
+                f"{readings.source}: found {here[place]} turns{where}, expected one at each "
                 f"of {speeds} speeds for each of {targets} targets: which target was which turn "
                 "of? Add a column target"
             )
@@ -210,33 +260,34 @@ def _number_of(
     numbers = np.unique(column[turn.rows])
     if len(numbers) > 1 or numbers[0] >= count:
         raise DataError(
-            f"{readings.table.path}: the turn from {readings.time[turn.rows][0]:.6g} s on is of "
+            f"{readings.source}: the turn from {readings.seconds(turn.rows)[0]:.6g} s on is of "
             f"{what} {', '.join(map(str, numbers.tolist()))}, expected one of 0 to {count - 1}"
         )
     return int(numbers[0])
 
 
 def _observed(
-    readings: _RawReadings, turn: _FoundTurn, step: Step, calibration: Calibration, segment: int
+    readings: _RawReadings, turn: _FoundTurn, step: Step, calibration: Calibration, number: int
 ) -> Observation:
-    """Return what readings beside its angle make of a ``step``; judged as in a live cell."""
+    """Return what readings beside its angle make of a ``step``; judged as in a live cell.
+
+    ``number`` of the turn, each of which has a zero of its own.
+    """
     settings, sense = calibration.configuration.capture, float(np.sign(turn.speed))
     ahead = sense * (readings.angle_deg[turn.rows] * DEGREE - step.table_angle)
     at = int(np.flatnonzero(ahead >= 0.0)[0])
     first = int(np.flatnonzero(ahead[:at] <= -step.passing)[-1])
     last = at + int(np.flatnonzero(ahead[at:] >= step.passing)[0])
     rows = slice(turn.rows.start + first, turn.rows.start + last + 1)
-    stamps: Stamps = np.round(readings.time[rows] / NANOSECOND).astype(np.int64)
+    stamps, values = readings.stamps[rows], readings.values[rows]
     passed = Passage(stamps, ahead[first : last + 1])
     near = np.abs(passed.ahead) < step.passing
-    length, away = readings.length[rows][near], passed.ahead[near]
+    away, beam = passed.ahead[near], readings.beam[rows][near]
     if reason := why_no_reading_counts(passed, away, step, settings):
         reduced = ReducedWindow(reason=reason)
     else:
-        dark = np.where(np.isnan(length), ReadingFault.BEAM_BROKEN, ReadingFault.NONE)
-        values = np.column_stack([np.zeros(len(length)), length, dark])
-        reduced = reduce_passing_lengths(away, values, 0, settings)
-    broken = np.isnan(readings.length[turn.rows.start : rows.start])
+        missing = missing_readings(values[:, SEQUENCE], passed.ahead, step.passing)
+        reduced = reduce_passing_lengths(away, values[near], missing, settings)
     return replace(
         step.observed(reduced.mean),
         std=reduced.std,
@@ -248,5 +299,5 @@ def _observed(
         table_angle_measured=step.table_angle + sense * fsum(away) / max(len(away), 1),
         window_start_ns=int(stamps[0]),
         window_end_ns=int(stamps[-1]),
-        segment=segment + int(np.count_nonzero(broken)),
+        segment=number + int(beam[:1].sum() + beam[-1:].sum()),
     )

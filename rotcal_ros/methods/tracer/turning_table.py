@@ -40,6 +40,10 @@ SAME_DEG: Final = 1e-6
 """Angles that differ by less are one."""
 ALIKE: Final = 0.05
 """Speeds that differ by less than this share are one."""
+PLACES: Final = (
+    "targets_m", "targets_file", "box_centre_m", "box_size_m", "box_points",
+)  # fmt: skip
+"""Settings of a plan that say where the targets are."""
 AS_STATED: Final = 0.2
 """Share by which a table may turn faster or slower than stated."""
 
@@ -235,6 +239,11 @@ def run_of(sense: float, own: float, place: str, speeds: tuple[float, ...]) -> i
 def stated(configuration: Configuration) -> list[str]:
     """Return the settings by which a set-up states table angles."""
     return [f"plan.{name}" for name in ANGLE_SETTINGS if f"plan.{name}" in configuration.given]
+
+
+def places_stated(configuration: Configuration) -> bool:
+    """Return whether a set-up says where its targets are."""
+    return any(f"plan.{name}" in configuration.given for name in PLACES)
 
 
 def _require_stated(configuration: Configuration, angles: Floats, table: Table) -> None:
