@@ -203,7 +203,7 @@ def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):
 
 def test_what_fits_is_advised_as_at_the_terminal(opened):
     if "advise" not in names(PLANS):
-        pytest.skip("rotcal_design is not installed")
+        pytest.skip("the package that advises is not installed")
     page = opened(locale="en-GB", viewport={"width": 1280, "height": 1500})
     page.get_by_text("Nothing measured yet?").click()
     listing = page.get_by_role("button", name="List the methods")
