@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -116,8 +117,8 @@ def check_compiler() -> Check:
 
 def check_packages() -> Check:
     """Look for the packages of the core."""
-    needed = [need for need in metadata.requires("rotcal_ros") or () if "extra ==" not in need]
-    versions = {name: _version(name) for name in needed}
+    stated = [need for need in metadata.requires("rotcal_ros") or () if "extra ==" not in need]
+    versions = {name: _version(name) for need in stated for name in re.findall(r"^[\w-]+", need)}
     missing = [name for name, version in versions.items() if version is None]
     return Check(
         "Python packages",
