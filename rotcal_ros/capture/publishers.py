@@ -145,6 +145,30 @@ class PublisherFilter:
         return follows
 
 
+@dataclass
+class HeardPublishers:
+    """Tells the publishers of messages apart; its length is how many were heard.
+
+    Without identities, as in Jazzy, the message numbers decide: those of one publisher increase.
+    """
+
+    identities: set[str] = field(default_factory=set)
+    _latest: list[int] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.identities) + len(self._latest)
+
+    def hear(self, origin: MessageOrigin) -> None:
+        """Take a message; one with neither identity nor number counts as of the unknown one."""
+        if origin.publisher or origin.number is None:
+            self.identities.add(origin.publisher)
+            return
+        below = [n for n in self._latest if 0 < origin.number - n <= MOST_MISSED]
+        if below:
+            self._latest.remove(max(below))
+        self._latest.append(origin.number)
+
+
 RUN: Final = "run"
 """Value in a beat: the run of the plan that a node works for; see :func:`unique_run_name`."""
 

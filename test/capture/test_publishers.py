@@ -5,6 +5,7 @@ import pytest
 from rotcal_ros.capture.publishers import (
     MOST_MISSED,
     PATIENCE_S,
+    HeardPublishers,
     Intruder,
     MessageOrigin,
     PendingPlans,
@@ -49,6 +50,26 @@ def test_a_run_hears_those_with_whom_it_began(accepted, events, expected):
     heard = judge(points=accepted)
     assert [heard.accepts(POINTS, MessageOrigin(*event)) for event in events] == expected
     assert bool(heard.intruders) == (False in expected)
+
+
+@pytest.mark.parametrize(
+    ("origins", "count"),
+    [
+        ([(OURS, 1), (STRAY, 1), (OURS, 2)], 2),
+        ([("", 90), ("", 91), ("", 95)], 1),  # some are lost
+        ([("", 90), ("", 3), ("", 91), ("", 4)], 2),
+        ([("", 5), ("", 5), ("", 6), ("", 6)], 2),  # started together
+        ([("", 90), ("", 3), ("", 50), ("", 91), ("", 4), ("", 51)], 3),
+        ([("", 1), ("", 2 + MOST_MISSED)], 2),
+        ([("", None), ("", None)], 1),  # nothing tells them apart
+        ([], 0),
+    ],
+)
+def test_publishers_are_counted_with_identities_and_without(origins, count):
+    heard = HeardPublishers()
+    for origin in origins:
+        heard.hear(MessageOrigin(*origin))
+    assert len(heard) == count
 
 
 def test_topics_are_judged_each_for_itself():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
@@ -12,7 +11,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.publishers import publisher_of
+from rotcal_ros.capture.publishers import HeardPublishers, publisher_of
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.units import DEGREE
@@ -38,7 +37,7 @@ class AdapterTablePreview:
         self._node, self._settings = node, configuration.table_adapter
         self._joint = configuration.cell.joint
         self._watch = JointMonitor(self._settings)
-        self._tellers: Counter[str] = Counter()
+        self._publishers = HeardPublishers()
         self._others: dict[str, None] = {}
         self.topic: str = node.resolve_topic_name(self._settings.feedback)
         InstrumentSubscription(node, JointState, self._settings.feedback, self._hear)
@@ -53,13 +52,13 @@ class AdapterTablePreview:
         if not self._node.get_publishers_info_by_topic(topic):
             todo = "start joint_state_broadcaster, or correct table_adapter.feedback"
             return Finding(f"no node publishes {topic}", todo)
-        if not self._tellers:
+        if not self._publishers:
             there = ", ".join(self._names())
             found = f"{topic} has no joint {joint!r} (cell.joint)"
             found += f", it has {there or 'said nothing'}"
             return Finding(found, f"cell.joint: one of {there}")
-        if len(self._tellers) > 1:
-            found = f"{len(self._tellers)} publishers publish the joint {joint!r} on {topic}"
+        if len(self._publishers) > 1:
+            found = f"{len(self._publishers)} publishers publish the joint {joint!r} on {topic}"
             return Finding(f"{found} ({self._who()})", "stop all but one that publish this joint")
         if text := self._watch.doubt() or self._watch.complaint(time.monotonic()):
             return Finding(text, f"let {topic} give the joint in rad, and without a pause")
@@ -112,12 +111,11 @@ class AdapterTablePreview:
         return [printable(name) for name in self._others][:_MOST_NAMES]
 
     def _who(self) -> str:
-        """Return the nodes that publish the joint, as far as the graph names them."""
+        """Return the nodes that publish the joint; all of the topic if messages name none."""
         found = self._node.get_publishers_info_by_topic(self.topic)
         named = {publisher_of(info.endpoint_gid): info.node_name for info in found}
-        return ", ".join(
-            sorted(named.get(teller, "one that has gone") for teller in self._tellers)
-        )
+        heard = self._publishers.identities or named
+        return ", ".join(sorted(named.get(identity, "one that has gone") for identity in heard))
 
     def _hear(self, batch: Batch) -> None:
         for message, info in batch:
@@ -125,7 +123,7 @@ class AdapterTablePreview:
             if sample is None:
                 self._others |= dict.fromkeys(message.name)
                 continue
-            self._tellers[message_publisher(info).publisher] += 1
+            self._publishers.hear(message_publisher(info))
             self._watch.hear(sample, time.monotonic())
 
 
