@@ -56,6 +56,12 @@ def test_no_row_is_lost_where_texts_stand_beside_columns_without_names(tmp_path,
     assert_truth(path, columns=columns, angle_unit="deg", reading_unit="arcsec")
 
 
+def test_a_stated_column_of_another_quantity_is_refused(tmp_path):
+    (path := tmp_path / "t.csv").write_text("angle [deg],length [mm]\n0,1.5\n30,1.7\n60,1.6\n")
+    with pytest.raises(DataError, match=r"'length \[mm\]' is in mm, of length and not of angle"):
+        read_deviations(path, 1.0, SheetSettings(columns=("deviation=length [mm]",)))
+
+
 def table(path: Path, head: list[str], columns: list[list[str]], separator: str = ",") -> Path:
     rows = [head, *map(list, zip(*columns, strict=True))]
     (path / "t.csv").write_text("".join(separator.join(row) + "\n" for row in rows), "utf-8")

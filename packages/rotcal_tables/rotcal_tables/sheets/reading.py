@@ -35,6 +35,7 @@ from rotcal_ros.foundation.table_columns import (
     folded,
     meaning,
     option,
+    quantity_of,
     undecided,
     unit_setting,
 )
@@ -426,6 +427,11 @@ class _Rows:
         if {"dms", "m:s"} & {measure.unit, *use.units}:
             measure = self._sixtieths(number, value, measure, use, name)
         unit = measure.unit or self._unit(use, quantity, value, name)
+        if (of := quantity_of(unit)) != quantity:
+            raise DataError(
+                f"{self._path}: {use.text!r} is in {unit}, of {of} and not of {quantity}: it is "
+                f"no {_OURS.get(name, name)}; state another column, as --set sheet.columns=..."
+            )
         found = in_si(measure, unit)
         if unit != COUNTS:
             return str(found)
