@@ -588,9 +588,9 @@ class _InfluenceOfGroups:
     @cached_property
     def shared(self) -> Floats:
         """What the rows (g d, k) of groups do by ``common``."""
-        common = self.common.reshape(len(self.common), len(self.basis), -1, 1)
-        found = (self.basis @ common)[:, :, :, 0]
-        return np.ascontiguousarray(found.reshape(len(common), -1).T)
+        k, (groups, rows, own) = len(self.common), self.basis.shape  # k may be 0
+        found = self.basis @ self.common.reshape(k, groups, own, 1)
+        return np.ascontiguousarray(found.reshape(k, groups * rows).T)
 
     def spread(self, sign: Floats) -> tuple[Floats, Floats]:
         """Return L (o, l) and M (l, l): LML' is the covariance beside that by own unknowns."""
