@@ -17,11 +17,11 @@ import yaml
 
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.column_map import ColumnMap
-from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings, folded
+from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings, TableColumn, folded
 from rotcal_ros.foundation.table_reading import FormReader, Known, Reading
 from rotcal_ros.foundation.tables import Header, Table, parquet_as_table, read_own_form
 from rotcal_ros.foundation.untrusted import is_plain_file, load_yaml, read_errors_as, read_text
@@ -57,6 +57,7 @@ def read_any(
     source = parquet_as_table(source)
     own = read_own_form(source, headers)
     if own is not None:
+        _require_as_named(own, settings)
         return Reading(own)
     given, in_memory = settings, isinstance(source, Table) and source.in_memory
     if isinstance(source, Path):
@@ -68,6 +69,17 @@ def read_any(
         sources=() if settings == given else (phrase("answers of {0}", FILE),),
         stated=settings,
     )
+
+
+def _require_as_named(own: Table, settings: SheetSettings) -> None:
+    """Raise DataError where a column of our own form is stated to be another one."""
+    ours = {column: TableColumn.of(column).name for column in own.header}
+    for name, text in settings.named().items():
+        if ours.get(text, name) != name:
+            raise DataError(
+                f"{own.path}: {text} is its {ours[text]}, but sheet.columns says {name}={text}: "
+                "give the column another heading, or leave this out"
+            )
 
 
 def remembered(path: Path, settings: SheetSettings) -> SheetSettings:

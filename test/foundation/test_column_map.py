@@ -17,7 +17,13 @@ from rotcal_ros.cli.main import rotcal
 from rotcal_ros.evaluation.iso230 import read_any_runs, read_runs
 from rotcal_ros.evaluation.reference import read_deviations, read_reference
 from rotcal_ros.foundation import plugins
-from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalError, UndecidedError
+from rotcal_ros.foundation.errors import (
+    BagError,
+    ConfigurationError,
+    DataError,
+    RotcalError,
+    UndecidedError,
+)
 from rotcal_ros.foundation.table_columns import SheetSettings
 from rotcal_ros.foundation.table_forms import FILE, form_reader, read_any
 from rotcal_ros.foundation.table_reading import Known, Reading
@@ -159,6 +165,14 @@ def test_a_map_that_does_not_fit_is_refused(tmp_path, settings, error, words):
     with pytest.raises(error) as refused:
         read(tmp_path, "position,target,Weg\n0,1,312.5\n", **settings)
     assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("stated", ["length=length_m", "position=position", "length=Weg"])
+def test_our_own_columns_are_what_they_are_called(tmp_path, stated):
+    text = "position,target,length_m\n0,1,0.3125\n"
+    assert rows(read(tmp_path, text, columns=(stated,))) == [("0", "1", "0.3125")]
+    with pytest.raises(DataError, match="length_m is its length, but"):
+        read(tmp_path, text, columns=(stated, "target=length_m"))
 
 
 def test_a_column_of_another_table_is_left_to_it(tmp_path):
