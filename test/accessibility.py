@@ -15,14 +15,14 @@ SCROLLING = """() => [...document.querySelectorAll("body *")]
   }))"""
 
 
-def require_reachable(page):
+def assert_reachable(page):
     """Fail unless the keyboard reaches everything that may scroll, and it has role and name."""
     found = page.evaluate(SCROLLING)
     assert found
     assert [e for e in found if not (e["reached"] and e["named"] and e["role"])] == []
 
 
-def require_accessible(page):
+def assert_accessible(page):
     """Fail for every fault that axe-core finds; skip the test where it is not installed."""
     page.evaluate(axe())
     found = page.evaluate("tags => axe.run({runOnly: {type: 'tag', values: tags}})", RULES)

@@ -118,7 +118,7 @@ def require_same_method(
             )
 
 
-def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
+def _subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
     """Yield what was measured, by the configurations of a bag first, then by its recorder.
 
     Settings that cannot be read do not hide it.
@@ -131,13 +131,14 @@ def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[S
 
 
 def with_recorded_facts(
-    configuration: Configuration, subjects: Sequence[Subject]
+    configuration: Configuration, texts: Iterable[str], scans: Iterable[Scan]
 ) -> Configuration:
     """Return the configuration with those facts of a recording that no set-up can change.
 
-    A simulation stays one; who measured what is taken from the bag unless it is given. The first
-    statement counts.
+    A simulation stays one; who measured what is taken from the bag unless it is given: from the
+    ``texts`` of its configurations, then from its recorder. The first statement counts.
     """
+    subjects = tuple(_subjects(texts, scans))
     identity = configuration.identity
     if "identity" not in configuration.given:
         stated = (known for known, _ in subjects if known != Identity())

@@ -293,10 +293,7 @@ def _recording(
     _require_messages(verdicts, path)
     if source == "streams" and (changing := feeder.joints.changing()):
         raise DataError(changing)
-    attached = {text for text, _ in recorded_setup.attached_configurations(contents.scans)}
-    differ = len(attached.union(text for _, text in contents.planned)) > 1
-    foreign = foreign_plans(files, contents.planned, attached, limits) if differ else frozenset()
-    planned = [text for run, text in contents.planned if run not in foreign]
+    attached, planned, foreign = _plans(contents, files, limits)
     if asked.configuration is None:
         of_strangers = {text for run, text in contents.planned if run in foreign - left_out}
         if configuration.text in of_strangers.difference(attached, planned):
@@ -311,8 +308,9 @@ def _recording(
     else:
         captured = _captured(feeder, contents, configuration, set_ups)
     broken = _unread(contents, topics)
-    subjects = tuple(recorded_setup.recorded_subjects(texts, contents.scans))
-    as_recorded = recorded_setup.with_recorded_facts(calibration.configuration, subjects)
+    as_recorded = recorded_setup.with_recorded_facts(
+        calibration.configuration, texts, contents.scans
+    )
     clocks = filter(None, [feeder.offset or feeder.doubt])
     return Recording(
         calibration=replace(calibration, configuration=as_recorded),
@@ -335,6 +333,19 @@ def _recording(
         foreign_plans=len(foreign),
         stream_faults=tuple(feeder.joints.faults()) if source == "streams" else (),
     )
+
+
+def _plans(
+    contents: _BagContents, files: tuple[Path, ...], limits: ReadingLimits
+) -> tuple[set[str], list[str], frozenset[str]]:
+    """Return the configurations that are attached, those of the cell's plans, and strangers' runs.
+
+    Plans are a stranger's only where a bag holds configurations that differ.
+    """
+    attached = {text for text, _ in recorded_setup.attached_configurations(contents.scans)}
+    differ = len(attached.union(text for _, text in contents.planned)) > 1
+    foreign = foreign_plans(files, contents.planned, attached, limits) if differ else frozenset()
+    return attached, [text for run, text in contents.planned if run not in foreign], foreign
 
 
 def _turns(

@@ -6,7 +6,7 @@ from shutil import which
 from subprocess import run
 
 import pytest
-from accessibility import require_accessible, require_reachable
+from accessibility import assert_accessible, assert_reachable
 from browser import launched
 from certified_samples import CIRCUMSTANCES, report, result
 
@@ -50,7 +50,7 @@ def test_nothing_hangs_over_the_edge(chromium, address, width):
 def test_what_scrolls_is_reached_by_keyboard_and_has_a_name(chromium, address, width):
     page = chromium.new_page(viewport={"width": width, "height": 900})
     page.goto(address)
-    require_reachable(page)
+    assert_reachable(page)
     page.close()
 
 
@@ -59,7 +59,7 @@ def test_axe_finds_nothing(chromium, address, scheme):
     page = chromium.new_page(color_scheme=scheme)
     page.goto(address)
     page.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true; })")
-    require_accessible(page)
+    assert_accessible(page)
     page.close()
 
 

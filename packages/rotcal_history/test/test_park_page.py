@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from accessibility import require_accessible
+from accessibility import assert_accessible
 from browser import launched
 from simulated_park import Table, measured
 
@@ -65,7 +65,7 @@ def test_three_tables_with_their_reasons_and_reports(small, browser):
     assert [text.split("\t")[0] for text in found] == ["<HIT>/C", "DRIFTS/C", "STAYS/C"]
     assert "jumped before" in found[0]
     assert page.locator("#rows svg").count() == 3
-    require_accessible(page)
+    assert_accessible(page)
     page.select_option("#state", "look")
     assert len(rows(page)) == 1
     page.select_option("#state", "")

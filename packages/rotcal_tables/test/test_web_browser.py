@@ -10,7 +10,7 @@ from threading import Thread
 
 import pytest
 import uvicorn
-from accessibility import require_accessible, require_reachable
+from accessibility import assert_accessible, assert_reachable
 from click.testing import CliRunner
 from exports import DATA, EXPORTS, MM, lines
 from test_files_of_instruments import rtl
@@ -116,8 +116,8 @@ def test_a_table_is_dropped_solved_and_taken_along(opened, tmp_path):
     with page.expect_download() as taken:
         page.get_by_role("link", name="Set-up (YAML)").click()
     assert taken.value.path().read_text().startswith("# Laser tracer, multi-station")
-    require_accessible(page)
-    require_reachable(page)
+    assert_accessible(page)
+    assert_reachable(page)
     page.set_viewport_size({"width": 390, "height": 800})
     assert page.evaluate("document.documentElement.scrollWidth") == 390
 
@@ -149,7 +149,7 @@ def test_deviations_become_a_controller_s_file_and_a_report(opened):
         page.get_by_role("link", name="Report", exact=True).click()
     expect(report.value.locator("h1")).to_be_visible(timeout=PATIENCE_MS)
     assert "Deviations that are known already" in report.value.locator("body").inner_text()
-    require_accessible(page)
+    assert_accessible(page)
 
 
 def rows_of(amplitude):
@@ -184,7 +184,7 @@ def test_a_second_table_says_whether_the_compensation_acts(opened, tmp_path):
     })  # fmt: skip
     page.locator("#after_error").get_by_role("button", name=re.compile("too far")).click()
     expect(outcome).to_contain_text("The table acts", timeout=PATIENCE_MS)
-    require_accessible(page)
+    assert_accessible(page)
     assert page.request.get(f"{page.url}made/result.json").ok
 
 
@@ -193,7 +193,7 @@ def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):
     dropped(page, "lengths.csv", lines(("Position", "Target", "Length"), MM, ",").encode())
     expect(page.locator("#solve")).to_be_disabled()
     expect(page.locator("#error")).to_contain_text("states no unit")
-    require_accessible(page)
+    assert_accessible(page)
     page.get_by_role("button", name="574.172198 mm = 0.574172 m").click()
     expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
     expect(page.get_by_label("unit of length")).to_have_value("mm")
@@ -226,7 +226,7 @@ def test_what_fits_is_advised_as_at_the_terminal(opened):
         assert f"U(ECC) {u:.2f} arcsec" in words
         assert ", ".join(way["untested"]) in shown.inner_text()
         assert shown.locator("code").inner_text() == way["command"]
-    require_accessible(page)
+    assert_accessible(page)
 
 
 def test_all_that_a_laser_s_file_leaves_open_is_asked_together(opened):
@@ -238,7 +238,7 @@ def test_all_that_a_laser_s_file_leaves_open_is_asked_together(opened):
     expect(groups.nth(1).locator("p")).to_contain_text("'deviation' (deviation) states no unit")
     expect(groups.nth(2).locator("p")).to_contain_text("(if reading_unit=arcsec)")
     assert "--set" not in page.locator("#error").inner_text()
-    require_accessible(page)
+    assert_accessible(page)
     groups.nth(1).get_by_role("button", name="4.4 urad").click()
     expect(groups).to_have_count(2, timeout=PATIENCE_MS)
     groups.nth(1).get_by_role("button", name="stands 0.907565 arcsec too far").click()
@@ -256,7 +256,7 @@ def test_angles_of_a_table_count_where_no_plan_is_stated(opened):
     count.fill("12")
     count.press("Tab")
     expect(page.locator("#error")).to_contain_text("5 degrees is not in the plan")
-    require_accessible(page)
+    assert_accessible(page)
     page.get_by_role("button", name="5 degrees, as the table says").click()
     expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
 
@@ -366,7 +366,7 @@ def test_a_refusal_is_shown_and_accepted_by_a_tick_for_that_reason_alone(opened)
     old = page.get_by_label(re.compile("the measurement is .* days old"))
     expect(old).to_be_focused(timeout=PATIENCE_MS)
     expect(page.locator("#controller_error")).to_contain_text("does not belong here")
-    require_accessible(page)
+    assert_accessible(page)
     old.check()
     write.click()
     page.get_by_label(re.compile("not verified")).check()
