@@ -41,7 +41,11 @@ LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)\s#]+)(?P<anchor>#[^)]*)
 TABLE = re.compile(r"^\[[^\]\n]*\]\((?P<path>\S+\.csv)\)$", re.MULTILINE)
 """A link to a table alone on its line: the site shows the table below it."""
 COMMANDS = "command_line.md"
-FILLED = {"controllers.md": "controllers_page.py", "result_json.md": "result_schema.py"}
+FILLED = {
+    "api.md": "api_page.py",
+    "controllers.md": "controllers_page.py",
+    "result_json.md": "result_schema.py",
+}
 """Pages with places that the function ``filled`` of a script fills."""
 REFERENCE = """
 ::: mkdocs-click
