@@ -11,15 +11,26 @@ from rotcal_ros.evaluation.power import PowerBench
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods import prepare, read_configuration
+from rotcal_ros.methods import changed, prepare, read_configuration
 
 PLANS = Path(__file__).parents[2] / "research" / "power_plans"
 METHODS = ("tracer", "ball_plate", "plane_mirror", "tracer_six")
 each_method = pytest.mark.parametrize("name", METHODS)
 
 
+TURNING = "tracer_turning"
+"""The plan of the tracer for a table that turns: 24 angles in both directions."""
+
+
 def calibration(name):
-    return prepare(read_configuration(PLANS / f"{name}.yaml"))
+    if name != TURNING:
+        return prepare(read_configuration(PLANS / f"{name}.yaml"))
+    turns = (
+        "plan.turning_deg_s=[12.0, -12.0]",
+        "plan.table_step_deg=15.0",
+        "plan.table_positions=24",
+    )
+    return prepare(changed(read_configuration(PLANS / "tracer.yaml"), turns))
 
 
 def calm(name):
@@ -39,7 +50,7 @@ def change(prepared, effect, size, seed=3):
     return values[1] - values[0], values[0]
 
 
-@pytest.mark.parametrize("name", (*METHODS, "tracer_turning"))
+@pytest.mark.parametrize("name", [*METHODS, TURNING])
 def test_every_effect_is_there_once_and_none_of_it_is_nothing(name):
     prepared = calibration(name)
     listed = PowerBench(prepared, 1).listed()
@@ -90,7 +101,7 @@ def test_a_tracer_is_knocked_half_way_and_the_machine_drifts_from_nothing():
 
 
 def test_a_zero_jumps_in_one_turn_and_a_late_feedback_turns_each_speed_alike():
-    prepared = calibration("tracer_turning")
+    prepared = calibration(TURNING)
     slipped, _ = change(prepared, "slip", 1e-6)
     jumped = np.flatnonzero(slipped[:, 0])
     assert np.ptp(jumped) == len(jumped) - 1 < 24
