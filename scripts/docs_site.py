@@ -38,7 +38,11 @@ MADE = {
 """Files of the site that scripts make: the script, and its function."""
 LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)\s#]+)(?P<anchor>#[^)]*)?\)")
 COMMANDS = "command_line.md"
-FILLED = {"controllers.md": "controllers_page.py", "result_json.md": "result_schema.py"}
+FILLED = {
+    "controllers.md": "controllers_page.py",
+    "result_json.md": "result_schema.py",
+    "yardstick.md": "yardstick_page.py",
+}
 """Pages with places that the function ``filled`` of a script fills."""
 REFERENCE = """
 ::: mkdocs-click

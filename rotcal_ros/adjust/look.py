@@ -435,16 +435,16 @@ class SolutionView:
             alike = sizes == size
             judged[:, alike] = self._judged(rows[alike[of_row]].reshape(-1, size))
         names = grouping.names_of(number.tolist())
-        each = zip(names, sizes, whole, kept, few, judged.T, strict=True)
-        for k, (name, size, count, left, asked, (squares, rank, share)) in enumerate(each):
-            known = grouping.kind, name
+        columns = (each.tolist() for each in (sizes, whole - kept, kept, few, judged.T))
+        for k, (name, size, lost, left, asked, found) in enumerate(
+            zip(names, *columns, strict=True)
+        ):
             if asked:
-                yield JudgedGroup(
-                    *known, int(left), (float(squares), int(rank)), (float(share), int(size)),
-                    int(count - left),
-                )  # fmt: skip
+                squares, rank, share = found
+                checks = share, size
+                yield JudgedGroup(grouping.kind, name, left, (squares, int(rank)), checks, lost)
             elif size:
-                yield _as_a_whole(fit, *known, rows[of_row == k], int(count - left))
+                yield _as_a_whole(fit, grouping.kind, name, rows[of_row == k], lost)
 
     def _judged(self, rows: Ints) -> Floats:
         """Return T, its degrees of freedom and the share that others check of groups (g, e)."""

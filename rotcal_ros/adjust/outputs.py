@@ -190,11 +190,11 @@ class Outputs:
         return np.asarray((self.common != 0.0).any(axis=0) | (abs(self.few).sum(axis=0) > 0.0))
 
     def run(self, count: int, size: int) -> tuple[int, int] | None:
-        """Return circle and first place where all read one place after the other; else None.
+        """Return circle and first place where all read one place after the next alike; else None.
 
         Of the first ``count`` unknowns, circles of ``size`` places each.
         """
-        if self.each != 1 or not len(self) or (self.few.data != 1.0).any():
+        if self.each != 1 or not len(self) or np.ptp(self.few.data):
             return None
         circle, place = np.divmod(self.few.indices, size)
         here = (place[0] + np.arange(len(place))) % size

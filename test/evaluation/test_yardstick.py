@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -61,6 +63,17 @@ def test_a_worse_code_is_seen_as_worse_and_the_same_code_is_not(tmp_path):
     assert "**missed**" in next(line for line in found.stdout.splitlines() if "| ECC |" in line)
     same = compare(tmp_path, 3, "--new", str(ROOT))
     assert same.returncode == 0, same.stdout
+
+
+def test_the_page_is_filled_with_whole_tables_alone():
+    filled = runpy.run_path(str(ROOT / "scripts" / "yardstick_page.py"))["filled"]
+    page = filled((ROOT / "docs" / "yardstick.md").read_text("utf-8"))
+    tables = re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)
+    assert {"| plan | effect |", "| plan | output |"} <= {table[:17] for table in tables}
+    for table in tables:
+        assert len({line.count("|") for line in table.splitlines()}) == 1
+    with pytest.raises(ValueError, match="places of the tables false alarms, coverage"):
+        filled("")
 
 
 @pytest.fixture
