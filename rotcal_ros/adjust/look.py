@@ -90,8 +90,10 @@ class SolutionView:
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""
         limits = self.before.limits
-        if len(self._oddest) and self._stands_out(self._oddest[0]) and not self._with_others:
-            yield self.singles[0]
+        if len(self._oddest):
+            value, limit = self._test(self._oddest[0])
+            if value > limit and not self._with_others:
+                yield self.singles[0]
         yield from self.significant_effects()
         judgement = self.diagnosis.gathering.judgement
         # proof takes the noise for known; of few residuals its chance is drawn
@@ -154,10 +156,6 @@ class SolutionView:
         others = max(self.rest[0] - squares, NOTHING) / left
         limit = rank * float(f_isf(limits.of_each_observation(model), max(rank, 1.0), left))
         return float(np.sqrt(squares / others)), float(np.sqrt(limit))
-
-    def _stands_out(self, element: int) -> bool:
-        value, limit = self._test(element)
-        return value > limit
 
     def _support(self, squares: float, rank: int, alternatives: float) -> tuple[float, float]:
         """Return ln of how probable an explanation is, by BIC, among so many of its kind.
