@@ -1,9 +1,9 @@
 """The yardstick sees what is worse, and goes on where it was interrupted."""
 
+import csv
 import json
 import os
 import re
-import runpy
 import shutil
 import subprocess
 import sys
@@ -65,15 +65,15 @@ def test_a_worse_code_is_seen_as_worse_and_the_same_code_is_not(tmp_path):
     assert same.returncode == 0, same.stdout
 
 
-def test_the_page_is_filled_with_whole_tables_alone():
-    filled = runpy.run_path(str(ROOT / "scripts" / "yardstick_page.py"))["filled"]
-    page = filled((ROOT / "docs" / "yardstick.md").read_text("utf-8"))
-    tables = re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)
-    assert {"| plan | effect |", "| plan | output |"} <= {table[:17] for table in tables}
-    for table in tables:
-        assert len({line.count("|") for line in table.splitlines()}) == 1
-    with pytest.raises(ValueError, match="places of the tables false alarms, coverage"):
-        filled("")
+def test_the_page_has_whole_tables_and_leads_to_each():
+    page = (ROOT / "docs" / "yardstick.md").read_text("utf-8")
+    linked = re.findall(r"^\[.*\]\(\.\./research/yardstick/(\w+\.csv)\)$", page, re.MULTILINE)
+    files = sorted((RESEARCH / "yardstick").glob("*.csv"))
+    assert sorted(linked) == [file.name for file in files]
+    for file in files:
+        head, *rows = csv.reader(file.read_text("utf-8").splitlines())
+        assert head[0] in ("plan", "recording", "paper")
+        assert {len(row) for row in rows} == {len(head)}
 
 
 @pytest.fixture
