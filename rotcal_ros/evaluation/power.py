@@ -137,9 +137,10 @@ class PowerBench:
     def listed(self) -> tuple[Disturbance, ...]:
         """Return the disturbances that the method lists for the plan; empty if it lists none."""
         disturbances = self.calibration.method.disturbances
+        if disturbances is None:
+            return ()
         turns = any(step.turn is not None for step in self.calibration.plan.steps)
-        listed = () if disturbances is None else disturbances.listed
-        return tuple(each for each in listed if turns or not each.of_turns)
+        return tuple(each for each in disturbances.listed if turns or not each.of_turns)
 
     def row(self, disturbance: Disturbance) -> PowerRow:
         """Return what a disturbance does before the verdict changes."""
