@@ -554,8 +554,10 @@ def _meant(
     return [name for name in known if name in wanted or name in beside]
 
 
-def strange_unit(layout: Layout) -> tuple[str, str, str] | None:
+def strange_unit(layout: Layout | None) -> tuple[str, str, str] | None:
     """Return heading, unit and quantity of a missing column that has no unit of its quantity."""
+    if layout is None:
+        return None
     wanted = {column.name: column for column in map(TableColumn.of, layout.missing)}
     for text in layout.aside:
         if found := IN_BRACKETS.fullmatch(plain(text)):
