@@ -232,7 +232,7 @@ def rests(path: Path, commanded: Numbers, actual: Numbers, rest_s: float, period
     found, left_out = list[Rest](), list[str]()
     for own in heard:
         left_out += [f"{own.numbers.topic}: {reason}" for reason in own.reasons()]
-    feedback = Feedback.of(stamps, angles, period)
+    feedback = ReportedAngles.of(stamps, angles, period)
     for (begin, end), level in zip(pairwise([*begins, int(stamps[-1]) + 1]), levels, strict=True):
         if (end - begin) * NANOSECOND < rest_s:
             continue  # on the way
@@ -255,7 +255,7 @@ def rests(path: Path, commanded: Numbers, actual: Numbers, rest_s: float, period
 
 
 @dataclass(frozen=True, eq=False)
-class Feedback:
+class ReportedAngles:
     """Actual angles (n,) with their times (n,), ns; ``step`` is the smallest between numbers."""
 
     stamps: Ints
@@ -264,7 +264,7 @@ class Feedback:
     step: float
 
     @classmethod
-    def of(cls, stamps: Ints, angles: Floats, period: float) -> Feedback:
+    def of(cls, stamps: Ints, angles: Floats, period: float) -> ReportedAngles:
         """Return the angles with their smallest step."""
         steps = np.diff(np.unique(angles))
         return cls(stamps, angles, period, float(steps.min()) if len(steps) else 0.0)
