@@ -135,3 +135,22 @@ def test_a_table_without_values_of_its_formulas_says_so(tmp_path):
     book.save(tmp_path / "t.xlsx")
     with pytest.raises(DataError, match="or save the workbook where its formulas are computed"):
         MeasurementInput(tmp_path / "t.xlsx").read()
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Run {r} {way} deviation [arcsec]",
+        "Deviation run {r} {way} [arcsec]",
+        "Error {r} {way} / arcsec",
+    ],
+)
+def test_heads_of_runs_may_say_what_they_hold(head, tmp_path):
+    runs = [(r, way) for r in (1, 2) for way in ("up", "down")]
+    content = ",".join(["Angle [deg]", *(head.format(r=r, way=way) for r, way in runs)]) + "\n"
+    for a, d in ROWS:
+        cells = (d + 0.25 * r - 2.0 * (way == "down") for r, way in runs)
+        content += ",".join([str(a), *map(str, cells)]) + "\n"
+    result = solved(tmp_path, "t.csv", content, "method=deviations", "sheet.values=deviations")
+    assert result.deviations["ECC"] / ARCSEC == pytest.approx(TRUTH + 0.375 - 1.0)
+    assert result.verdict == "ok"

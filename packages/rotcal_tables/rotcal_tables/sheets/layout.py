@@ -654,8 +654,12 @@ def _only(words: Mapping[str, list[Cells]]) -> list[Cells]:
 
 def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
     """Return which of the values the head of a matrix's column names, and the label beside it."""
-    if len(values) == 1:
-        return values[0].name, head.name
+    if len(values) == 1:  # Run 1 up deviation
+        parts = head.name.split()
+        rest = [part for part in parts if values[0].name not in columns_of(Heading(part, part))]
+        text = " ".join(rest)
+        says = any(map(str.isalpha, text)) and any(map(str.isdigit, text))
+        return values[0].name, text if says else head.name
     words = [word for word in re.split(_LETTER, head.name) if word]
     found = [word for word in words if any(folded(word) == value.name for value in values)]
     rest = " ".join(word for word in words if word not in found)
