@@ -154,3 +154,22 @@ def test_heads_of_runs_may_say_what_they_hold(head, tmp_path):
     result = solved(tmp_path, "t.csv", content, "method=deviations", "sheet.values=deviations")
     assert result.deviations["ECC"] / ARCSEC == pytest.approx(TRUTH + 0.375 - 1.0)
     assert result.verdict == "ok"
+
+
+@pytest.mark.parametrize("head", ["Deviation [%]", "Deviation [‰]", "|Deviation| [arcsec]"])
+def test_a_share_and_an_absolute_value_are_no_deviations(head, tmp_path):
+    """Signs of a name did not count."""
+    with pytest.raises(BagError, match=r"unknown unit|no column deviation_rad"):
+        solved(tmp_path, "t.csv", own(f"Angle [deg];{head}"), "sheet.values=deviations")
+
+
+def test_a_column_of_several_units_is_refused(tmp_path):
+    def line(a, d):
+        return (a, d, "arcsec") if abs(d) < 8 else (a, f"{d / 60:.6f}", "arcmin")
+
+    content = listed("Angle [deg];Deviation;Unit", line)
+    stated = "sheet.values=deviations", "sheet.reading_unit=arcsec"
+    with pytest.raises(DataError, match="'Unit' states several units, arcsec, arcmin"):
+        solved(tmp_path, "t.csv", content, *stated)
+    alike = listed("Angle [deg];Deviation;Unit", lambda a, d: (a, d, "arcsec"))
+    assert solved(tmp_path, "t.csv", alike, *stated).verdict == "ok"

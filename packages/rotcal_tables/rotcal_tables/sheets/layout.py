@@ -61,6 +61,8 @@ _COARSE: Final = ("deg", "gon", "dms")
 """Units of table angles rather than of deviations."""
 CORNER: Final = re.compile(r"[\\|/]")
 """What stands in the corner of a matrix between the names of its rows and columns."""
+_NO_MEASURE: Final = re.compile(r"[%‰]|\|[^|]+\|")
+"""What heads a share, or absolute values, which have lost their sign."""
 _NO_UNIT: Final = ("", "-", "1")
 """What stands for none in a line of units."""
 _SYMBOL: Final = re.compile(
@@ -540,6 +542,8 @@ def _meant(
     )
     if chosen:
         return [name for name in chosen if name in wanted or name in beside]
+    if _NO_MEASURE.search(head.text):
+        return []
     quantities = {quantity_of(unit) for unit in head.units}
     own = [
         name

@@ -80,6 +80,7 @@ from rotcal_tables.sheets.words import (
     is_summary,
     kind_of,
     label_of,
+    units_of,
 )
 
 _WITHOUT_SIGN: Final = frozenset({"u", "expanded", "uncertainty"})
@@ -188,6 +189,7 @@ class _Rows:
                 f"{self._path}: the table has a header but no rows{why}: add what was measured "
                 f"below it{formulas if layout.sheet.name else ''}"
             )
+        self._require_one_unit([number for number, _ in rows])
         mark = self._mark([values for _, values in rows])
         self._seen = rows, mark
         columns = [self._column(column, rows, mark) for column in self._columns]
@@ -213,6 +215,19 @@ class _Rows:
             self._found,
             form_head=layout.form,
         )
+
+    def _require_one_unit(self, kept: Sequence[int]) -> None:
+        """Raise DataError where a column of units states several: it says of which number."""
+        rows = dict(self._layout.sheet.rows)
+        for text, place in zip(self._layout.head, self._layout.places, strict=True):
+            cells = [text_of((*rows[row], *[""] * (place + 1))[place]) for row in kept]
+            units = dict.fromkeys(units_of(cell) for cell in cells if cell)
+            if text in self._layout.aside and len(units) > 1 and all(units):
+                several = ", ".join(dict.fromkeys(cells))
+                raise DataError(
+                    f"{self._path}: {text!r} states several units, {several}: "
+                    "write each behind its number, or convert the numbers to one"
+                )
 
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
         """Yield the rows of values; note those that are left out, and why."""
