@@ -660,10 +660,10 @@ def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
     """Return which of the values the head of a matrix's column names, and the label beside it."""
     if len(values) == 1:  # Run 1 up deviation
         parts = head.name.split()
-        rest = [part for part in parts if values[0].name not in columns_of(Heading(part, part))]
-        text = " ".join(rest)
-        says = any(map(str.isalpha, text)) and any(map(str.isdigit, text))
-        return values[0].name, text if says else head.name
+        left = [part for part in parts if values[0].name not in columns_of(Heading(part, part))]
+        label = " ".join(left)
+        says = any(map(str.isalpha, label)) and any(map(str.isdigit, label))
+        return values[0].name, label if says else head.name
     words = [word for word in re.split(_LETTER, head.name) if word]
     found = [word for word in words if any(folded(word) == value.name for value in values)]
     rest = " ".join(word for word in words if word not in found)
