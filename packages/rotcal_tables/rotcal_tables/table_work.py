@@ -227,8 +227,9 @@ def at_boxes(text: str, method: str) -> Phrase:
         rest = found[0].removeprefix("--set") if found[1] == "set" else ""
         return place(label, "" if label is _TICK else '"') + rest
 
+    text = _ADVICE.sub("", text)
     text = _STATED.sub(lambda found: found[1] if "." in found[1] else f"--set {found[1]}", text)
-    text = _VERB.sub(_options_alone, _ADVICE.sub("", text).replace("{", "(").replace("}", ")"))
+    text = _VERB.sub(_options_alone, text.replace("{", "(").replace("}", ")"))
     text = _OPTION.sub(option, _NAMED.sub(setting, text))
     return phrase(text, *labels)
 
@@ -249,8 +250,10 @@ def _in_words(question: Question, asked: Asked) -> Reply:
 
 
 def fitted(asked: Asked) -> Reply:
-    """Return the methods whose columns the table has."""
-    return {"methods": [m.name for m in fitting_methods(asked.folder / PLACES[TABLE])]}
+    """Return the methods whose columns the table has, those that need nothing else first."""
+    found = fitting_methods(asked.folder / PLACES[TABLE])
+    found = sorted(found, key=lambda method: method.table is None or method.table.needs_setup)
+    return {"methods": [method.name for method in found]}
 
 
 def explained(asked: Asked) -> Reply:

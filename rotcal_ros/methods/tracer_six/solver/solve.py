@@ -44,7 +44,7 @@ from rotcal_ros.adjust.model import (
 )
 from rotcal_ros.adjust.observable import observe_columns
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
@@ -709,11 +709,6 @@ def _details(solution: SixSolution) -> dict[str, Any]:
     }
 
 
-def _used(solution: SixSolution) -> Bools:
-    """Return which lengths (k,) are used."""
-    return solution.found.fit.used[: len(solution.lengths.row)]
-
-
 @dataclass(frozen=True, slots=True)
 class SteepestBeams:
     """The elevations (rad, above the tracer along +z) of the steepest beams both ways.
@@ -731,7 +726,8 @@ class SteepestBeams:
         """Return that of all lengths that were used, in the stated frame."""
         lengths = solution.lengths
         beam = solution.targets[lengths.target] - lengths.stands(solution.unknowns)[0]
-        rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[_used(solution)]
+        used = solution.found.fit.used[: len(beam)]
+        rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[used]
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))
 
     def judged(
