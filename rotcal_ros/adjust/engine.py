@@ -183,7 +183,9 @@ class Adjusted:
             compact = compact.scaled(few)
             for changes in self._probable:
                 compact = compact.plus(CompactCovariance.shared(changes[part]))
-            return compact if gathers is None else compact.plus(gathers.part(part))
+            if gathers is None:
+                return compact
+            return compact.plus(gathers.part(part)).condensed()
         total = self.fit.covariance(part)
         total *= few[:, None]
         total *= few

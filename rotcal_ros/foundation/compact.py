@@ -109,6 +109,20 @@ class CompactCovariance:
             np.append(self.signs, other.signs),
         )
 
+    def condensed(self) -> CompactCovariance:
+        """Return the same in no more numbers than a triangle of the matrix has.
+
+        Where many values share errors of hundreds of observations, ``near`` has more.
+        """
+        n = len(self)
+        if self.near.nnz <= n * (n + 1) // 2:
+            return self
+        from scipy.linalg import qr
+        from scipy.sparse import csr_array
+
+        (root,) = qr(self.near.T.toarray(), mode="r", overwrite_a=True, check_finite=False)
+        return CompactCovariance(csr_array(np.tril(root[:n].T)), self.common, self.signs)
+
     def scaled(self, by: Floats) -> CompactCovariance:
         """Return that of the values times ``by`` (n,)."""
         near = self.near.copy()

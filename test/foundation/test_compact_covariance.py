@@ -86,3 +86,14 @@ def test_a_damaged_one_is_refused(field, value, reason):
     data["compact_covariance"]["ECC"][field] = value
     with pytest.raises(ValueError, match=reason):
         covariances_from(data, 40)
+
+
+@pytest.mark.parametrize("columns", [12, 60])
+def test_what_has_more_numbers_than_a_triangle_is_condensed_and_stays_what_it_is(columns):
+    rng = np.random.default_rng(4)
+    near = csr_array(rng.normal(size=(20, columns)))
+    long = CompactCovariance(near, rng.normal(size=(20, 2)), np.array([1.0, -0.01]))
+    short = long.condensed()
+    assert short.near.nnz <= 20 * 21 // 2 < long.near.nnz
+    np.testing.assert_allclose(short.dense(), long.dense(), atol=1e-12)
+    assert short.condensed() is short

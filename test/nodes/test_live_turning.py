@@ -31,13 +31,18 @@ TURNS = 4 * 2
 """At one place of the tracer: of four targets, there and back."""
 
 
+FASTER = ("simulation.time_scale=2.0", "capture.settle_time_s=1.0")
+"""Four minutes in two, and no stamps at the pace of arrival: a busy machine makes them late."""
+
+
 @pytest.mark.parametrize(
-    ("demo", "places"), [("tracer_turning_demo.yaml", 1), ("tracer_six_turning_demo.yaml", 3)]
+    ("demo", "places", "changes"),
+    [("tracer_turning_demo.yaml", 1, ()), ("tracer_six_turning_demo.yaml", 3, FASTER)],
 )
 def test_a_broken_turn_is_made_again_and_one_that_was_interrupted_is_measured_as_a_whole(
-    demo, places, tmp_path, monkeypatch
+    demo, places, changes, tmp_path, monkeypatch
 ):
-    cells = live_cells(tmp_path, monkeypatch, CONFIG / demo, QUICK)
+    cells = live_cells(tmp_path, monkeypatch, CONFIG / demo, (*QUICK, *changes))
     live = next(cells)(
         "simulation.faults.blocked_from_deg=95.0", "simulation.faults.blocked_to_deg=105.0",
         "simulation.faults.blocked_targets=[1]", "simulation.faults.blocked_times=1",
