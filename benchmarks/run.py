@@ -16,6 +16,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from rotcal_ros import __version__
+
 # One thread each: the ratio shall compare the methods, not the number of cores.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 HERE = Path(__file__).parent
@@ -49,9 +51,13 @@ def main() -> None:
         cells = (f"{key} {printed(value)}" for key, value in row.items() if key != "name")
         print(f"{row['name']:<40}", *cells, sep="   ", flush=True)
     if arguments.json:
-        machine = {"machine": platform.platform(), "python": platform.python_version()}
+        stated = {
+            "version": f"rotcal_ros {__version__}",
+            "machine": f"{platform.system()}, {platform.machine()}, {os.cpu_count()} cores",
+            "python": platform.python_version(),
+        }
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        arguments.json.write_text(json.dumps({**machine, "rows": rows}, indent=1))
+        arguments.json.write_text(json.dumps({**stated, "rows": rows}, indent=1) + "\n")
         print(f"written: {arguments.json.absolute()}")
 
 
