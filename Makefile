@@ -55,8 +55,8 @@ bench: setup  ## compare speed with well-known alternatives, side by side
 speed: setup  ## race every solver against its strongest peers: docs/speed.md
 	@$(BIN)/python -c 'import jax, pyceres' 2>/dev/null || $(BIN)/pip install -q \
 		--disable-pip-version-check -c constraints.txt -e '.[peers]'
-	@$(BIN)/python benchmarks/run.py --json benchmarks/data/speed.json tracer tracer_six ball_plate \
-		plane_mirror table_balls two_circles monte_carlo policy growth
+	@$(BIN)/python benchmarks/run.py --csv research/figures/speed.csv tracer tracer_six ball_plate \
+		plane_mirror table_balls two_circles monte_carlo policy
 
 power: setup  ## what could be wrong, and would the verdict say so? docs/what_could_be_wrong.md
 	@$(BIN)/python research/power_table.py $(POWER_ARGS)
