@@ -10,7 +10,7 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.table_columns import ANGLE, COUNTS, UNITS
 from rotcal_ros.report.terminal.console import say, tell
-from rotcal_tables.pairs import Numbers, as_table, rests
+from rotcal_tables.pairs import TopicField, find_rests, table_lines
 
 _UNITS = tuple(unit for unit in UNITS[ANGLE] if unit not in ("dms", "m:s"))
 
@@ -46,8 +46,8 @@ def command(
     """
     if not period and actual_unit != COUNTS:
         period = float(360 * UNITS[ANGLE]["deg"] / UNITS[ANGLE][actual_unit])
-    found, left_out = rests(
-        bag, Numbers.of(commanded, joint), Numbers.of(actual, joint), rest, period
+    found, left_out = find_rests(
+        bag, TopicField.of(commanded, joint), TopicField.of(actual, joint), rest, period
     )
     for line in left_out:
         say(f"left out: {line}")
@@ -56,6 +56,6 @@ def command(
             f"{bag}: the commanded angle never stood for {rest:g} s with the table at rest: see "
             "what was left out, or lower --rest"
         )
-    write_atomically(output, "\n".join([*as_table(found, commanded_unit, actual_unit), ""]))
+    write_atomically(output, "\n".join([*table_lines(found, commanded_unit, actual_unit), ""]))
     tell(f"{output}: {len(found)} rests")
     return 0

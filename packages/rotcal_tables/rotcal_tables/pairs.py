@@ -25,7 +25,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.units import NANOSECOND
 
-MARGIN: Final = 0.1
+END_MARGIN: Final = 0.1
 """Share of the time at rest that is kept from the next command: the topics' clocks differ."""
 _LEAST: Final = 4
 """Samples of a rest."""
@@ -38,7 +38,7 @@ _CREEP: Final = 4.0
 
 
 @dataclass(frozen=True)
-class Numbers:
+class TopicField:
     """A field of the messages of a topic: ``joint`` names its element by the names beside it."""
 
     topic: str
@@ -46,7 +46,7 @@ class Numbers:
     joint: str = ""
 
     @classmethod
-    def of(cls, text: str, joint: str = "") -> Numbers:
+    def of(cls, text: str, joint: str = "") -> TopicField:
         """Return what ``TOPIC:FIELD`` means; ConfigurationError for any other text."""
         topic, _, field = text.partition(":")
         if not (topic and field):
@@ -69,13 +69,13 @@ class Numbers:
 
 
 @dataclass
-class Heard:
+class FieldSeries:
     """What the messages of a topic say of some ``numbers``, by their times of recording (ns).
 
     ``without`` counts messages that give none, by reason.
     """
 
-    numbers: Numbers
+    numbers: TopicField
     without: Counter[str] = field(default_factory=Counter)
     _parts: list[tuple[Ints, Floats, tuple[str, ...]]] = field(default_factory=list)
     _orders: set[tuple[str, ...]] = field(default_factory=set)
@@ -162,7 +162,7 @@ class Heard:
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestPair:
     """The mean ``actual`` angle at a ``commanded`` one, and its standard uncertainty ``u``."""
 
     commanded: float
@@ -170,9 +170,9 @@ class Rest:
     u: float
 
 
-def rests(
-    path: Path, commanded: Numbers, actual: Numbers, rest_s: float, period: float
-) -> tuple[list[Rest], list[str]]:
+def find_rests(
+    path: Path, commanded: TopicField, actual: TopicField, rest_s: float, period: float
+) -> tuple[list[RestPair], list[str]]:
     """Return the rests of a bag, in the units of its fields, and in words what is none.
 
     ``period``: by which the actual angle jumps where it wraps; 0: not known. Raises BagError for
@@ -187,7 +187,7 @@ def rests(
     changes = np.flatnonzero(np.diff(orders)) + 1
     begins = [int(command_ns[k]) for k in (0, *changes.tolist())]
     levels = [float(orders[k]) for k in (0, *changes.tolist())]
-    found, left_out = list[Rest](), list[str]()
+    found, left_out = list[RestPair](), list[str]()
     for own in heard:
         left_out += [f"{own.numbers.topic}: {reason}" for reason in own.reasons()]
     steps = np.abs(np.diff(np.unique(angles)))
@@ -196,8 +196,10 @@ def rests(
         lasted = (end - begin) * NANOSECOND
         if lasted < rest_s:
             continue  # on the way
-        last = end - round(MARGIN * rest_s / NANOSECOND)
-        inside = (stamps > last - round(rest_s * (1.0 - MARGIN) / NANOSECOND)) & (stamps <= last)
+        last = end - round(END_MARGIN * rest_s / NANOSECOND)
+        inside = (stamps > last - round(rest_s * (1.0 - END_MARGIN) / NANOSECOND)) & (
+            stamps <= last
+        )
         try:
             found.append(_rest(level, angles[inside], step, period))
         except ValueError as error:
@@ -205,7 +207,7 @@ def rests(
     return found, left_out
 
 
-def _rest(level: float, values: Floats, step: float, period: float) -> Rest:
+def _rest(level: float, values: Floats, step: float, period: float) -> RestPair:
     """Return one rest; ValueError says why it is none, BagError what has to be said first."""
     if len(values) < _LEAST:
         raise ValueError(f"{len(values)} samples at its end, expected {_LEAST}")
@@ -227,13 +229,15 @@ def _rest(level: float, values: Floats, step: float, period: float) -> Rest:
     if creep > _CREEP * max(std * sqrt(4.0 / len(off)), step / sqrt(12.0)):
         raise ValueError(f"it creeps by {creep:.3g}")
     # samples of a controlled axis follow each other: their mean is not surer than one of them
-    return Rest(level, float(values[0] + np.mean(off)), hypot(std, step / sqrt(12.0)))
+    return RestPair(level, float(values[0] + np.mean(off)), hypot(std, step / sqrt(12.0)))
 
 
-def _heard(files: tuple[Path, ...], wanted: Sequence[Numbers]) -> tuple[list[Heard], set[str]]:
+def _heard(
+    files: tuple[Path, ...], wanted: Sequence[TopicField]
+) -> tuple[list[FieldSeries], set[str]]:
     """Return what a bag says of each of the numbers, and the names of its topics."""
     decoders, topics = dict[ChannelDefinition, Decoder](), set[str]()
-    heard = [Heard(numbers) for numbers in wanted]
+    heard = [FieldSeries(numbers) for numbers in wanted]
     for scan, block in read_blocks(files):
         for number in () if block is None else np.unique(block.headers["channel"]).tolist():
             assert block is not None
@@ -248,7 +252,7 @@ def _heard(files: tuple[Path, ...], wanted: Sequence[Numbers]) -> tuple[list[Hea
     return heard, topics
 
 
-def as_table(found: Sequence[Rest], commanded_unit: str, actual_unit: str) -> Iterator[str]:
+def table_lines(found: Sequence[RestPair], commanded_unit: str, actual_unit: str) -> Iterator[str]:
     """Yield the lines of a table of pairs; units in brackets at its heads."""
     yield (
         f"commanded [{commanded_unit}],actual [{actual_unit}],standard uncertainty [{actual_unit}]"
