@@ -19,9 +19,8 @@ from rotcal_ros.methods import (
     prepare_to_measure,
     read_configuration,
 )
-from rotcal_ros.methods.angle_comparison.method import ALL_FIT_IF, REFERENCE_IN_RESULT
+from rotcal_ros.methods.angle_comparison.method import ALL_FIT_IF, REFERENCE_IN_RESULT, STOOD_AT
 from rotcal_ros.methods.angle_comparison.model import REFERENCE, Circles, model_of
-from rotcal_ros.methods.angle_comparison.rivals import STOOD_AT
 from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonPlanSettings,
     ComparisonSolverSettings,
