@@ -12,6 +12,7 @@ written again.
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -30,7 +31,6 @@ import six_scene  # noqa: E402
 from rotcal_ros.foundation.arrays import Floats  # noqa: E402
 from rotcal_ros.foundation.components import COMPONENTS  # noqa: E402
 from rotcal_ros.foundation.errors import DataError  # noqa: E402
-from rotcal_ros.foundation.files import write_atomically  # noqa: E402
 from rotcal_ros.foundation.observations import PointKind  # noqa: E402
 from rotcal_ros.foundation.results import Result  # noqa: E402
 from rotcal_ros.foundation.units import MICROMETRE  # noqa: E402
@@ -44,8 +44,7 @@ SIZES_STD = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0)
 """Of what the mirror shows: in standard deviations of a reading across the beam."""
 SIZES_PLATE_UM = (0.3, 0.5, 1.0)
 LIMIT = 2.5
-PAGE = ROOT / "docs" / "evidence.md"
-END = "<!-- end -->\n"
+FIGURES = ROOT / "research" / "figures"
 
 
 class Seen(NamedTuple):
@@ -78,43 +77,32 @@ def main() -> int:
     of_lengths = [case for case in cases() if chosen.cases in case.name]
     of_plate = [case for case in plate_cases() if chosen.cases in case.name]
     of_mirror = [case for case in mirror_cases() if chosen.cases in case.name]
-    heading = f"Of {chosen.runs} worlds ({chosen.six_runs} of six deviations), in percent:"
-    write("tracer", heading, "zero, pattern", "um", SIZES_UM, of_lengths, chosen)
-    heading = f"Of {chosen.runs} worlds, in percent:"
-    write("ball plate", heading, "displaced", "um", SIZES_PLATE_UM, of_plate, chosen)
-    write("plane mirror", heading, "place, pattern", "std", SIZES_STD, of_mirror, chosen)
+    write("tracer", "zero, pattern", "um", SIZES_UM, of_lengths, chosen)
+    write("ball_plate", "displaced", "um", SIZES_PLATE_UM, of_plate, chosen)
+    write("plane_mirror", "place, pattern", "std", SIZES_STD, of_mirror, chosen)
     return 0
 
 
 def write(
     method: str,
-    heading: str,
     first: str,
     unit: str,
     sizes: tuple[float, ...],
     chosen_cases: list[Case],
     chosen: argparse.Namespace,
 ) -> None:
-    """Measure the cases and write the table of ``method`` into the page, where there are any."""
+    """Measure the cases and write the table of ``method``, where there are any."""
     if not chosen_cases:
         return
-    lines = [
-        heading,
-        "",
-        f"| {first} | none | " + " | ".join(f"{size:g} {unit}" for size in sizes) + " |",
-        "| --- | --- |" + " --- |" * len(sizes),
-    ]
+    rows = [[first, "worlds", "none", *(f"{size:g} {unit}" for size in sizes)]]
     scale = MICROMETRE if unit == "um" else 1.0
     for case in chosen_cases:
         runs = chosen.six_runs if case.name.startswith("six") else chosen.runs
         cells = [_sound(case, runs), *(_cell(case, size * scale, runs) for size in sizes)]
-        lines.append(f"| {case.name} | " + " | ".join(cells) + " |")
-        print(lines[-1], flush=True)
-    begin = f"<!-- research/gathered_table.py: {method} -->\n"
-    before, rest = PAGE.read_text(encoding="utf-8").split(begin)
-    after = rest.partition(END)[2]
-    text = "\n".join(["", *lines, "", ""])
-    write_atomically(PAGE, before + begin + text + END + after)
+        rows.append([case.name, str(runs), *cells])
+        print(" | ".join(rows[-1]), flush=True)
+    with (FIGURES / f"gathered_{method}.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def cases() -> Iterator[Case]:

@@ -13,6 +13,7 @@ import argparse
 import csv
 import hashlib
 import json
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -75,6 +76,8 @@ SIZES: Mapping[str, Mapping[str, float]] = {
 """Plan -> effect -> its size, in the unit in which the method lists it."""
 MEASURED = {"tracer": ("ECC",), "plane_mirror": ("ECC",)}
 """Plan -> the components that its method measures, where these are not all six."""
+BOARD = HERE.parent / "figures" / "leaderboard.csv"
+"""The leaderboard of the page, which `make docs` shows there."""
 SUMS = "SHA256SUMS"
 CASES = 100
 """Seeds from one measurement of a case to the next; every case has noise of its own."""
@@ -114,9 +117,11 @@ def main() -> int:
     if chosen.page is not None:
         text = chosen.page.read_text(encoding="utf-8")
         head, _, _ = text.partition("## Leaderboard\n")
-        write_atomically(
-            chosen.page, f"{head}## Leaderboard\n\n{found(score_folder(chosen.folder))}"
-        )
+        scores = score_folder(chosen.folder)
+        write_rows(BOARD, HEADINGS, board(scores))
+        link = os.path.relpath(BOARD, chosen.page.parent)
+        words = claims(scores)
+        write_atomically(chosen.page, f"{head}## Leaderboard\n\n[Leaderboard]({link})\n\n{words}")
     return 0
 
 
@@ -268,7 +273,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def write_readme(folder: Path, scores: Sequence[Score]) -> None:
     """Write the data descriptor."""
-    text = (HERE / "README.md").read_text(encoding="utf-8")
+    text = (HERE / "README.md.in").read_text(encoding="utf-8")
     bags = list(folder.rglob("*.mcap"))
     size = sum(bag.stat().st_size for bag in bags)
     rate = rc.read_configuration(HERE / "tracer.yaml").simulation.tracer.rate_hz
@@ -277,7 +282,7 @@ def write_readme(folder: Path, scores: Sequence[Score]) -> None:
         sizes=f"{len(bags)} bags, {size / 1e6:.1f} MB of them.",
         tracer_hz=rate,
         effects=effects_in_words(),
-        found=found(scores),
+        found="\n\n".join([in_markdown([HEADINGS, *board(scores)]), claims(scores)]),
     )
     write_atomically(folder / "README.md", text)
 
@@ -301,25 +306,33 @@ def effects_in_words() -> str:
     return "\n".join(lines)
 
 
-def found(scores: Sequence[Score]) -> str:
-    """Return the leaderboard, its legend, and what misleads, for a page."""
-    rows = [
+def board(scores: Sequence[Score]) -> list[list[str]]:
+    """Return the rows of the leaderboard as they are printed."""
+    return [
         [format(x, f) if x is not None else "" for x, f in zip(row.row, FORMATS, strict=True)]
         for row in leaderboard(scores)
     ]
-    table = [HEADINGS, ["---"] * len(HEADINGS), *rows]
-    board = "\n".join(f"| {' | '.join(cells)} |" for cells in table)
+
+
+def in_markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table, its head first."""
+    head, *others = rows
+    return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *others])
+
+
+def claims(scores: Sequence[Score]) -> str:
+    """Return the legend, and what misleads."""
     own = [s for s in scores if s.entry == "rotcal" and s.says_ok]
-    claims = [s for s in own if not s.named]
-    beyond = sum(s.held < s.n for s in claims)
+    silent = [s for s in own if not s.named]
+    beyond = sum(s.held < s.n for s in silent)
     words = (
-        f"*rotcal* says ok of {len(claims)} curves without naming the effect. {beyond} of them "
+        f"*rotcal* says ok of {len(silent)} curves without naming the effect. {beyond} of them "
         "are off by more than U at some angle, where chance alone makes 43 % of sound curves of "
         "12 angles so. Beyond chance are, with the effect named or not:"
     )
     wrong = [fill(f"* {s.describe()}", 98, subsequent_indent="  ") for s in own if not s.agree]
     listed = "\n".join(wrong) or "* none"
-    return f"{board}\n\n{LEGEND}\n\n{fill(words, 98)}\n\n{listed}\n"
+    return f"{LEGEND}\n\n{fill(words, 98)}\n\n{listed}\n"
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ looked at in the end.
 
 from __future__ import annotations
 
+import csv
 import posixpath
 import re
 import runpy
@@ -37,8 +38,14 @@ MADE = {
 }
 """Files of the site that scripts make: the script, and its function."""
 LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)\s#]+)(?P<anchor>#[^)]*)?\)")
+TABLE = re.compile(r"^\[[^\]\n]*\]\((?P<path>\S+\.csv)\)$", re.MULTILINE)
+"""A link to a table alone on its line: the site shows the table below it."""
 COMMANDS = "command_line.md"
-FILLED = {"controllers.md": "controllers_page.py", "result_json.md": "result_schema.py"}
+FILLED = {
+    "api.md": "api_page.py",
+    "controllers.md": "controllers_page.py",
+    "result_json.md": "result_schema.py",
+}
 """Pages with places that the function ``filled`` of a script fills."""
 REFERENCE = """
 ::: mkdocs-click
@@ -94,6 +101,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     if script := FILLED.get(uri):
         markdown = runpy.run_path(str(ROOT / "scripts" / script))["filled"](markdown)
+    markdown = TABLE.sub(
+        lambda link: f"{link[0]}\n\n{_table(_target(here, link['path']))}", markdown
+    )
     return LINK.sub(moved, markdown) + (REFERENCE if uri == COMMANDS else "")
 
 
@@ -122,6 +132,12 @@ def _name(group: click.Group) -> None:
 
 def _text(path: str) -> str:
     return (ROOT / path).read_text(encoding="utf-8")
+
+
+def _table(path: str) -> str:
+    """Return a table of the repository in Markdown."""
+    head, *rows = csv.reader(_text(path).splitlines())
+    return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows])
 
 
 def _target(page: str, link: str) -> str:

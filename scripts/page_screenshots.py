@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty
 from subprocess import PIPE, Popen
-from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -31,7 +30,7 @@ ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "docs" / "figures"
 TIMEOUT_MS = 120_000
 COLOURS = 200
-DESK, PHONE, WALL = (1280, 860), (360, 780), (3840, 2160)
+DESK, WALL = (1280, 860), (3840, 2160)
 WEB = "page_web"
 """The page of rotcal web, for which nothing is calibrated."""
 SIX = ("plan.table_positions=12",)
@@ -62,7 +61,6 @@ class Shot:
     configuration: str
     until: Callable[[Scene], None]
     size: tuple[int, int] = DESK
-    dark: bool = False
     changes: tuple[str, ...] = ()
 
 
@@ -122,10 +120,8 @@ def bridge(folder: Path) -> tuple[str, ...]:
 
 SHOTS = {
     "page_measuring": Shot("tracer_demo", measuring),
-    "page_measuring_dark": Shot("tracer_demo", measuring, dark=True),
     "page_measuring_wall": Shot("tracer_demo", measuring, size=WALL),
     "page_person": Shot("tracer_six_demo", person, changes=SIX),
-    "page_person_phone": Shot("tracer_six_demo", person, size=PHONE, changes=SIX),
     "page_confirm": Shot("ball_plate_demo", confirm),
     "page_lost_node": Shot("tracer_demo", lost_node),
     "page_lost_page": Shot("tracer_demo", lost_page),
@@ -163,12 +159,11 @@ def take(browser: Browser, name: str, shot: Shot, folder: Path) -> None:
     session = prepare_session(ROOT / "config" / f"{shot.configuration}.yaml", folder / "cell",
                               changes)  # fmt: skip
     width, height = shot.size
-    scheme: Any = "dark" if shot.dark else "light"
     cell: AbstractContextManager[RunningSession] = run_processes(
         replace(session, shown_by=("page",))
     )
     with cell as nodes:
-        page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
+        page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="light")
         page.set_default_timeout(TIMEOUT_MS)
         page.goto(_address(nodes))
         shot.until(Scene(session, nodes, page))

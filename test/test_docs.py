@@ -15,7 +15,8 @@ PAGES = sorted(
 )
 MAX_WIDTH = 120
 MAX_WORDS = 35
-MADE = runpy.run_path(str(ROOT / "scripts" / "docs_site.py"))["MADE"]
+SITE = runpy.run_path(str(ROOT / "scripts" / "docs_site.py"))
+MADE = SITE["MADE"]
 READABILITY = runpy.run_path(str(ROOT / "scripts" / "readability.py"))
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 
@@ -43,6 +44,21 @@ def test_every_link_leads_somewhere(page):
     ]
     assert [file for file, _anchor in local if not file.exists()] == []
     assert [(f, a) for f, a in local if a and a not in anchors(f)] == []
+
+
+def test_each_table_of_figures_is_shown_by_a_page():
+    """A link alone on its line; the site shows the table below it, a code host behind it."""
+    shown = [
+        (page.parent / link["path"]).resolve()
+        for page in PAGES
+        for link in SITE["TABLE"].finditer(page.read_text())
+    ]
+    assert sorted(shown) == sorted((ROOT / "research" / "figures").glob("*.csv"))
+    for path in shown:
+        head, rule, *rows = SITE["_table"](str(path.relative_to(ROOT))).splitlines()
+        assert rule.split() == ["|", *["---", "|"] * (head.count("|") - 1)]
+        assert rows
+        assert {row.replace("\\|", "").count("|") for row in rows} == {head.count("|")}
 
 
 @each_page

@@ -34,6 +34,10 @@ from rotcal_ros.planning.choices import AS_LISTED, PolicyProgress, StepChoice, S
 from rotcal_ros.recordings.topics import Topics
 
 Decoders = dict[ChannelDefinition, Decoder]
+SOLVED_APART: Final = (
+    "give the set-up that was used: `rotcal solve BAG --setup SETUP.yaml -o RESULT.json` "
+    "(other verbs take RESULT.json)"
+)
 Subject = tuple[Identity, bool]
 """What is measured, and whether the cell is a simulation."""
 
@@ -56,7 +60,7 @@ def find_configuration(
     raise BagError(
         f"{files[0].parent if len(files) > 1 else files[0]} holds no configuration: neither the "
         f"attachment {names.CONFIGURATION} nor a message on the topic {names.PLAN}; "
-        "give the set-up (--setup)"
+        f"{SOLVED_APART}"
     )
 
 
@@ -84,7 +88,7 @@ def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], pat
         (first, place), (second, other), *_ = texts.items()
         raise BagError(
             f"{path} holds {len(texts)} configurations that differ, {place} and {other}: "
-            f"{_first_differing_line(first, second)}; give the one that was used (--setup)"
+            f"{_first_differing_line(first, second)}; {SOLVED_APART}"
         )
 
 

@@ -238,8 +238,9 @@ def test_files_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
 
 def test_bag_of_something_else_holds_no_configuration(simulated_run: Run, tmp_path: Path) -> None:
     write_mcap(tmp_path / "theirs.mcap", simulated_run)
-    with pytest.raises(BagError, match="holds no configuration"):
+    with pytest.raises(BagError, match="holds no configuration") as refused:
         read_recording(tmp_path / "theirs.mcap")
+    assert "`rotcal solve BAG --setup SETUP.yaml -o RESULT.json`" in str(refused.value)
 
 
 def test_a_folder_around_a_bag_and_a_file_that_is_none_get_a_hint(tmp_path):

@@ -1,5 +1,6 @@
 """What a layout promises, how the searches count and where their limits lie."""
 
+import csv
 import re
 import warnings
 from dataclasses import replace
@@ -26,7 +27,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.configuration import read_configuration
 
 ROOT = Path(__file__).parents[3]
-PAGE = (ROOT / "docs" / "evidence.md").read_text()
+FIGURES = ROOT / "research" / "figures"
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 
 
@@ -37,9 +38,9 @@ def promised(grid, steps, **wanted):
 
 def printed_layouts():
     """The rows of the documentation's two tables of layouts."""
-    for line in PAGE.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) in (8, 9) and cells[0].isdigit():
+    for name in ("ball_layouts.csv", "ball_subsets.csv"):
+        _head, *rows = csv.reader((FIGURES / name).read_text().splitlines())
+        for cells in rows:
             steps = [int(step) for step in re.sub(r"\(.*", "", cells[2]).split()]
             yield int(cells[0]), steps, cells[3:7], float(cells[7].rstrip(" %")), cells[8:]
 

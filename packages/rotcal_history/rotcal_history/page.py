@@ -18,7 +18,14 @@ from typing import Any, Final, NamedTuple
 
 from markupsafe import Markup
 
-from rotcal_history.database import EVENT, HistoryEntry, ParkHistory
+from rotcal_history.database import (
+    EVENT,
+    REPLACED,
+    RESULT,
+    HistoryEntry,
+    ParkHistory,
+    result_of,
+)
 from rotcal_history.outlook import DeviationOutlook, Outlook
 from rotcal_history.settings import DOCUMENTS
 from rotcal_ros.foundation.components import unit_of
@@ -74,10 +81,10 @@ def _waited_for(folder: Path) -> FolderLock:
 def _write_park(
     history: ParkHistory, outlooks: Sequence[Outlook], folder: Path, today: str
 ) -> Path:
-    rows, pages = [], dict[str, _File]()
+    rows, pages, lines = [], dict[str, _File](), dict[str, str]()
     for number, view in enumerate(outlooks):
         name = f"{FOLDER}/table-{number}.html"
-        pages |= _table_files(history, view, name)
+        pages |= _table_files(history, view, name, lines)
         rows.append(_row(view, name, today))
     # No tag can begin in it.
     data = json.dumps(rows).replace("<", "\\u003c")
@@ -201,7 +208,21 @@ def _path(view: DeviationOutlook, x: Callable[[int], float], y: Callable[[float]
     return "M" + "L".join(f"{x(time)} {y(value)}" for time, value in points)
 
 
-def _table_files(history: ParkHistory, view: Outlook, name: str) -> dict[str, _File]:
+def _state(history: ParkHistory, entry: HistoryEntry, lines: dict[str, str]) -> str:
+    """Return the state of an entry as a phrase, which the text in the database no longer is.
+
+    ``lines`` keeps the verdict lines by their text: of results that read alike one is opened.
+    """
+    if entry.kind != RESULT or entry.state == REPLACED:
+        return entry.state
+    if entry.state not in lines:
+        lines[entry.state] = result_of(history.entry(entry.id)).verdict_line
+    return lines[entry.state]
+
+
+def _table_files(
+    history: ParkHistory, view: Outlook, name: str, lines: dict[str, str]
+) -> dict[str, _File]:
     """Return the page ``name`` of a table, and its documents, by name."""
     item = history.item(view.serial, view.axis)
     entries = history.of_item(item, valid=False)
@@ -211,7 +232,7 @@ def _table_files(history: ParkHistory, view: Outlook, name: str) -> dict[str, _F
         view=view,
         day_of=day_of,
         figures=[(d.component, draw_over_time(d, entries)) for d in view.deviations],
-        entries=entries[::-1],
+        entries=[(entry, _state(history, entry, lines)) for entry in entries[::-1]],
         documents=documents,
         home=f"../{PAGE}",
     )

@@ -10,7 +10,7 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.table_columns import ANGLE, COUNTS, UNITS
 from rotcal_ros.report.terminal.console import say, tell
-from rotcal_tables.pairs import TopicField, find_rests, table_lines
+from rotcal_tables.pairs import MARGIN, Numbers, as_table, rests
 
 _UNITS = tuple(unit for unit in UNITS[ANGLE] if unit not in ("dms", "m:s"))
 
@@ -35,27 +35,36 @@ _UNITS = tuple(unit for unit in UNITS[ANGLE] if unit not in ("dms", "m:s"))
     default=0.0,
     help="By how much the actual angle jumps where it wraps, in its unit; 0: by a turn, or asked.",
 )
+@click.option(
+    "--as-stated",
+    is_flag=True,
+    help="Commanded and actual are not exchanged, though they look so.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="CSV file.")
 def command(
     bag: Path, commanded: str, actual: str, commanded_unit: str, actual_unit: str, joint: str,
-    rest: float, period: float, output: Path,
+    rest: float, period: float, as_stated: bool, output: Path,
 ) -> int:  # fmt: skip
     """Write commanded and actual angles of a bag as a table, one row for each rest.
 
     The table goes to ``rotcal solve`` or ``rotcal export`` as deviations that are known already.
     """
+    if output.exists():
+        raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     if not period and actual_unit != COUNTS:
         period = float(360 * UNITS[ANGLE]["deg"] / UNITS[ANGLE][actual_unit])
-    found, left_out = find_rests(
-        bag, TopicField.of(commanded, joint), TopicField.of(actual, joint), rest, period
-    )
-    for line in left_out:
+    read = rests(bag, Numbers.of(commanded, joint), Numbers.of(actual, joint), rest, period)
+    for line in read.remarks:
         say(f"left out: {line}")
-    if not found:
+    if not read.found:
         raise BagError(
             f"{bag}: the commanded angle never stood for {rest:g} s with the table at rest: see "
             "what was left out, or lower --rest"
         )
-    write_atomically(output, "\n".join([*table_lines(found, commanded_unit, actual_unit), ""]))
-    tell(f"{output}: {len(found)} rests")
+    if not as_stated:
+        read.require_order()
+    if early := max(each.early for each in read.found):
+        say(f"the actual angle moves up to {(1 + early) * MARGIN * rest:.2g} s before the command")
+    write_atomically(output, "\n".join([*as_table(read.found, commanded_unit, actual_unit), ""]))
+    tell(f"{output}: {len(read.found)} rests")
     return 0

@@ -25,10 +25,17 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.units import NANOSECOND
 
-END_MARGIN: Final = 0.1
-"""Share of the time at rest that is kept from the next command: the topics' clocks differ."""
+MARGIN: Final = 0.1
+"""Share of the time at rest that is kept from the next command, and by which an end that moves is
+left: a feedback may be recorded before its command."""
 _LEAST: Final = 4
 """Samples of a rest."""
+_SEVERAL: Final = 10
+"""Samples whose scatter a few among them, as of a move that begins, do not widen."""
+_OF_MAD: Final = 1.4826
+"""Standard deviations in the median absolute deviation of a normal distribution, inverse."""
+_EVENER: Final = 100.0
+"""Times that one series of levels is less even than another that a program has set."""
 _JOINTS: Final = ("name", "joint_names")
 """Fields in which messages of ROS name their joints."""
 _FAR: Final = 100.0
@@ -38,7 +45,7 @@ _CREEP: Final = 4.0
 
 
 @dataclass(frozen=True)
-class TopicField:
+class Numbers:
     """A field of the messages of a topic: ``joint`` names its element by the names beside it."""
 
     topic: str
@@ -46,7 +53,7 @@ class TopicField:
     joint: str = ""
 
     @classmethod
-    def of(cls, text: str, joint: str = "") -> TopicField:
+    def of(cls, text: str, joint: str = "") -> Numbers:
         """Return what ``TOPIC:FIELD`` means; ConfigurationError for any other text."""
         topic, _, field = text.partition(":")
         if not (topic and field):
@@ -69,13 +76,13 @@ class TopicField:
 
 
 @dataclass
-class FieldSeries:
+class Heard:
     """What the messages of a topic say of some ``numbers``, by their times of recording (ns).
 
     ``without`` counts messages that give none, by reason.
     """
 
-    numbers: TopicField
+    numbers: Numbers
     without: Counter[str] = field(default_factory=Counter)
     _parts: list[tuple[Ints, Floats, tuple[str, ...]]] = field(default_factory=list)
     _orders: set[tuple[str, ...]] = field(default_factory=set)
@@ -162,18 +169,53 @@ class FieldSeries:
 
 
 @dataclass(frozen=True)
-class RestPair:
-    """The mean ``actual`` angle at a ``commanded`` one, and its standard uncertainty ``u``."""
+class Rest:
+    """The mean ``actual`` angle at a ``commanded`` one, and its standard uncertainty ``u``.
+
+    ``middle_ns`` is the middle of the time that was read, ``early`` how many margins before its
+    usual place that lies.
+    """
 
     commanded: float
     actual: float
     u: float
+    middle_ns: int
+    early: int
 
 
-def find_rests(
-    path: Path, commanded: TopicField, actual: TopicField, rest_s: float, period: float
-) -> tuple[list[RestPair], list[str]]:
-    """Return the rests of a bag, in the units of its fields, and in words what is none.
+@dataclass(frozen=True)
+class Rests:
+    """The rests of a bag, in the units of its fields; ``remarks`` say in words what is none."""
+
+    found: tuple[Rest, ...]
+    remarks: tuple[str, ...]
+    leads: tuple[float, ...]
+    """s, by which the actual angle passes the middle between two rests before the command."""
+    spacing: float
+    """s between messages."""
+
+    def require_order(self) -> None:
+        """Raise BagError where commanded and actual angle seem to be exchanged.
+
+        Commands are even or round, and come first; an encoder's counts are neither.
+        """
+        commanded = _unevenness([rest.commanded for rest in self.found])
+        actual = _unevenness([rest.actual for rest in self.found])
+        low, high = np.quantile(self.leads, [0.25, 0.75]) if self.leads else (0.0, 0.0)
+        if actual >= _EVENER * commanded > 0.0 or high < -self.spacing:
+            return
+        is_even = commanded >= _EVENER * actual
+        if not is_even and low <= self.spacing:
+            return
+        why = "is even, and the commanded one is not" if is_even else "changes first"
+        raise BagError(
+            f"the actual angle {why}: are they exchanged? Give --commanded and --actual the other "
+            "way round, or --as-stated where they are right"
+        )
+
+
+def rests(path: Path, commanded: Numbers, actual: Numbers, rest_s: float, period: float) -> Rests:
+    """Return the rests of a bag.
 
     ``period``: by which the actual angle jumps where it wraps; 0: not known. Raises BagError for
     topics or fields that are not there, and for a jump within a rest whose period is not known.
@@ -187,57 +229,121 @@ def find_rests(
     changes = np.flatnonzero(np.diff(orders)) + 1
     begins = [int(command_ns[k]) for k in (0, *changes.tolist())]
     levels = [float(orders[k]) for k in (0, *changes.tolist())]
-    found, left_out = list[RestPair](), list[str]()
+    found, left_out = list[Rest](), list[str]()
     for own in heard:
         left_out += [f"{own.numbers.topic}: {reason}" for reason in own.reasons()]
-    steps = np.abs(np.diff(np.unique(angles)))
-    step = float(steps.min()) if len(steps) else 0.0
+    feedback = Feedback.of(stamps, angles, period)
     for (begin, end), level in zip(pairwise([*begins, int(stamps[-1]) + 1]), levels, strict=True):
-        lasted = (end - begin) * NANOSECOND
-        if lasted < rest_s:
+        if (end - begin) * NANOSECOND < rest_s:
             continue  # on the way
-        last = end - round(END_MARGIN * rest_s / NANOSECOND)
-        inside = (stamps > last - round(rest_s * (1.0 - END_MARGIN) / NANOSECOND)) & (
-            stamps <= last
-        )
         try:
-            found.append(_rest(level, angles[inside], step, period))
+            found.append(feedback.rest(level, begin, end, rest_s))
         except ValueError as error:
+            lasted = (end - begin) * NANOSECOND
             left_out.append(f"commanded {level:.9g}, {lasted:.3g} s: {error}")
-    return found, left_out
+    leads = [
+        _passed(command_ns, orders, (a, b), (a.commanded, b.commanded), 0.0)
+        - _passed(stamps, angles, (a, b), (a.actual, b.actual), period)
+        for a, b in pairwise(found)
+    ]
+    spacing = max(float(np.median(np.diff(each))) if len(each) > 1 else 0.0
+                  for each in (command_ns, stamps))  # fmt: skip
+    return Rests(
+        tuple(found), tuple(left_out), tuple(lead * NANOSECOND for lead in leads),
+        spacing * NANOSECOND,
+    )  # fmt: skip
 
 
-def _rest(level: float, values: Floats, step: float, period: float) -> RestPair:
-    """Return one rest; ValueError says why it is none, BagError what has to be said first."""
-    if len(values) < _LEAST:
-        raise ValueError(f"{len(values)} samples at its end, expected {_LEAST}")
-    off = values - values[0]
-    if period:
-        off -= period * np.rint(off / period)
-    gaps = np.diff(np.sort(off))
-    apart = float(gaps.max())
-    if apart > max(0.5 * np.ptp(off), _FAR * max(float(np.median(gaps)), step)):
-        if period:
-            raise ValueError(f"it is in two places, {apart:.9g} apart: two sources, or a jump")
-        raise BagError(
-            f"at the commanded {level:.9g} the actual angle jumps by {apart:.9g} and back: "
-            "say by how much it jumps where it wraps: --period"
-        )
-    half = len(off) // 2
-    std = float(np.std(off, ddof=1))
-    creep = abs(float(np.mean(off[half:]) - np.mean(off[:half])))
-    if creep > _CREEP * max(std * sqrt(4.0 / len(off)), step / sqrt(12.0)):
-        raise ValueError(f"it creeps by {creep:.3g}")
-    # samples of a controlled axis follow each other: their mean is not surer than one of them
-    return RestPair(level, float(values[0] + np.mean(off)), hypot(std, step / sqrt(12.0)))
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """Actual angles (n,) with their times (n,), ns; ``step`` is the smallest between numbers."""
+
+    stamps: Ints
+    angles: Floats
+    period: float
+    step: float
+
+    @classmethod
+    def of(cls, stamps: Ints, angles: Floats, period: float) -> Feedback:
+        """Return the angles with their smallest step."""
+        steps = np.diff(np.unique(angles))
+        return cls(stamps, angles, period, float(steps.min()) if len(steps) else 0.0)
+
+    def rest(self, level: float, begin: int, end: int, rest_s: float) -> Rest:
+        """Return the rest at the end of a time (ns) in which the command stood at ``level``.
+
+        Where it moves there, that before it. ValueError says why there is none, BagError what has
+        to be said first.
+        """
+        margin, refused = round(MARGIN * rest_s / NANOSECOND), list[Exception]()
+        spare = (end - begin - round(rest_s / NANOSECOND)) // margin
+        for early in range(1 + min(int(spare), round(1.0 / MARGIN))):
+            last = end - (1 + early) * margin
+            first = last - round(rest_s * (1.0 - MARGIN) / NANOSECOND)
+            inside = (self.stamps > first) & (self.stamps <= last)
+            try:
+                mean, u = self._mean(level, self.angles[inside])
+            except (ValueError, BagError) as error:
+                refused.append(error)
+                continue
+            return Rest(level, mean, u, (first + last) // 2, early)
+        raise refused[0]
+
+    def _mean(self, level: float, values: Floats) -> tuple[float, float]:
+        """Return the mean of a rest and its standard uncertainty; raises as :meth:`rest`."""
+        if len(values) < _LEAST:
+            raise ValueError(f"{len(values)} samples at its end, expected {_LEAST}")
+        off = _less_turns(values - values[0], self.period)
+        gaps = np.diff(np.sort(off))
+        apart = float(gaps.max())
+        if apart > max(0.5 * np.ptp(off), _FAR * max(float(np.median(gaps)), self.step)):
+            if self.period:
+                raise ValueError(f"it is in two places, {apart:.9g} apart: two sources, or a jump")
+            raise BagError(
+                f"at the commanded {level:.9g} the actual angle jumps by {apart:.9g} and back: "
+                "say by how much it jumps where it wraps: --period"
+            )
+        half, rounding = len(off) // 2, self.step / sqrt(12.0)
+        std = float(np.std(off, ddof=1))
+        middle = _OF_MAD * float(np.median(np.abs(off - np.median(off))))
+        usual = min(std, middle) if len(off) >= _SEVERAL else std
+        creep = abs(float(np.mean(off[half:]) - np.mean(off[:half])))
+        if creep > _CREEP * max(usual * sqrt(4.0 / len(off)), rounding):
+            raise ValueError(f"it creeps by {creep:.3g}")
+        # samples of a controlled axis follow each other: their mean is not surer than one of them
+        return float(values[0] + np.mean(off)), hypot(std, rounding)
 
 
-def _heard(
-    files: tuple[Path, ...], wanted: Sequence[TopicField]
-) -> tuple[list[FieldSeries], set[str]]:
+def _less_turns(off: Floats, period: float) -> Floats:
+    """Return differences less whole periods, if there is one."""
+    return off - period * np.rint(off / period) if period else off
+
+
+def _passed(
+    times: Ints,
+    values: Floats,
+    ends: tuple[Rest, Rest],
+    levels: tuple[float, float],
+    period: float,
+) -> float:
+    """Return when (ns) numbers come nearer to the second of two levels, between two rests."""
+    first, last = np.searchsorted(times, [rest.middle_ns for rest in ends])
+    off = (np.abs(_less_turns(values[first:last] - level, period)) for level in levels)
+    nearer = np.flatnonzero(np.greater(*off))
+    return float(times[first + nearer[0] if len(nearer) else min(last, len(times) - 1)])
+
+
+def _unevenness(levels: Sequence[float]) -> float:
+    """Return by what share of the smallest step others are no whole numbers of it, at most."""
+    steps = np.diff(np.unique(levels))
+    counts = steps / steps.min() if len(steps) else steps
+    return float(np.max(np.abs(counts - np.rint(counts)), initial=1e-12))
+
+
+def _heard(files: tuple[Path, ...], wanted: Sequence[Numbers]) -> tuple[list[Heard], set[str]]:
     """Return what a bag says of each of the numbers, and the names of its topics."""
     decoders, topics = dict[ChannelDefinition, Decoder](), set[str]()
-    heard = [FieldSeries(numbers) for numbers in wanted]
+    heard = [Heard(numbers) for numbers in wanted]
     for scan, block in read_blocks(files):
         for number in () if block is None else np.unique(block.headers["channel"]).tolist():
             assert block is not None
@@ -252,7 +358,7 @@ def _heard(
     return heard, topics
 
 
-def table_lines(found: Sequence[RestPair], commanded_unit: str, actual_unit: str) -> Iterator[str]:
+def as_table(found: Sequence[Rest], commanded_unit: str, actual_unit: str) -> Iterator[str]:
     """Yield the lines of a table of pairs; units in brackets at its heads."""
     yield (
         f"commanded [{commanded_unit}],actual [{actual_unit}],standard uncertainty [{actual_unit}]"

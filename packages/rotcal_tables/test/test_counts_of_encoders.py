@@ -172,3 +172,27 @@ def test_a_counter_of_the_motor_begins_anew_after_any_counts(tmp_path):
     assert np.abs(ecc(solved(tmp_path, counts, *stated)) - TRUTH).max() <= 648_000 / turn
     with pytest.raises(ConfigurationError, match="expected the bits of the counter"):
         solved(tmp_path, counts, stated[0], "sheet.counter=4000s")
+
+
+def test_counts_of_a_turn_that_are_off_by_less_than_the_deviations_are_seen_where_it_closes(
+    tmp_path,
+):
+    turn, angles = 65_536, np.arange(0.0, 361.0, 30.0)
+    truth = 400.0 * np.sin(np.deg2rad(angles) + 1.0) - 200.0
+    counts = counted(turn, 0.0, truth, angles)
+    good = solved(tmp_path, counts, f"sheet.counts_per_turn={turn}", angles=angles)
+    assert good.verdict == "ok"
+    assert np.abs(ecc(good) - truth).max() <= 648_000 / turn
+    off = solved(tmp_path, counts, "sheet.counts_per_turn=65530", angles=angles)
+    assert off.verdict == "suspect"
+    assert "do not close: at 0 and 360 deg" in off.warnings[0]  # by 6 counts of 19.8 arcsec
+    assert "differ by 118.7 arcsec" in off.warnings[0]
+    assert off.warnings[1] == "or a turn has 65536 counts"
+
+
+def test_where_no_angle_comes_again_after_a_turn_the_verdict_names_the_counts(tmp_path):
+    result = solved(tmp_path, counted() % N, TURN)
+    scale = next(p for p in result.protections if p.effect == "scale")
+    assert scale.treatment == "not protected"
+    assert "360000 counts are stated for a turn: one more is 3.6 arcsec at its end" in scale.why
+    assert "scale" in result.verdict_line

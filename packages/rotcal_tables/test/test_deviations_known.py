@@ -221,3 +221,13 @@ def test_a_set_up_may_state_all_of_it(tmp_path):
     assert parse_configuration(text).solver.u_arcsec == 0.5
     result = MeasurementInput(table(tmp_path, SMALL), setup).read().solve()
     assert result.deviations["ECC"] / ARCSEC == pytest.approx([-0.5, -3.2, 1.0, -2.0])
+
+
+def test_deviations_that_differ_after_a_turn_are_suspect(tmp_path):
+    (path := tmp_path / "t.csv").write_text(
+        "angle [deg],deviation_arcsec,u [arcsec]\n"
+        + "".join(f"{a},{a / 36.0 + a % 7},0.5\n" for a in range(0, 361, 30))
+    )
+    result = MeasurementInput(path).read().solve()
+    assert result.verdict == "suspect"
+    assert "do not close: at 0 and 360 deg" in result.warnings[0]

@@ -164,7 +164,7 @@ def test_a_joint_is_found_by_its_name_alone(states, tmp_path):
         assert "table" in str(asked.exception)
     assert of_joints(bag, out, "position", "--joint", "table").exception is None
     assert actual(out) == pytest.approx([0.01, 90.01])
-    by_place = of_joints(bag, out, "position.0")
+    by_place = of_joints(bag, tmp_path / "other.csv", "position.0")
     assert "changing order" in str(by_place.exception) or "by --joint" in str(by_place.exception)
 
 
@@ -222,3 +222,89 @@ def test_a_count_that_flickers_at_a_rest_is_no_wrap(tmp_path):
     done = of_joints(bag, out, "position", "--actual-unit", "counts")
     assert done.exception is None, done.exception
     assert actual(out) == pytest.approx([1 / 7, 9000 + 1 / 7], abs=0.1)
+
+
+def steps_bag(path, early_s, stands_s=2.0, hertz=50, moves_s=0.4):
+    """Commands that jump by 30 degrees; the actual angle, off by 0.01, goes there ``early_s``."""
+    rng, rows = np.random.default_rng(11), []
+    for n in range(int(6 * stands_s * hertz)):
+        t = n / hertz
+        ordered = 30.0 * int(t / stands_s)
+        since = (t + early_s) % stands_s
+        share = min(since / moves_s, 1.0) if t + early_s >= stands_s else 1.0
+        actual = 30.0 * (int((t + early_s) / stands_s) - (1.0 - share)) + 0.01
+        at = START_NS + round(t * 1e9)
+        message = {"reference": ordered, "actual": actual + rng.normal(0.0, 1e-4)}
+        rows.append(("/drive", message, at))
+    write_messages(path, "json", rows)
+    return path
+
+
+def of_drive(bag, out, *more, commanded="reference", actual="actual", unit="deg"):
+    return CliRunner().invoke(command, [
+        str(bag), "--commanded", f"/drive:{commanded}", "--actual", f"/drive:{actual}",
+        "--commanded-unit", unit, "--actual-unit", unit, "-o", str(out), *more,
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("early_s", [0.0, 0.14, 0.3, 0.5])
+def test_a_feedback_that_is_early_spoils_no_rest(early_s, tmp_path):
+    out = tmp_path / "pairs.csv"
+    done = of_drive(steps_bag(tmp_path / "b.mcap", early_s), out)
+    assert done.exception is None, done.exception
+    found = np.loadtxt(out, delimiter=",", skiprows=1)
+    assert found[:, 0].tolist() == [0.0, 30.0, 60.0, 90.0, 120.0, 150.0]
+    assert found[:, 1] - found[:, 0] == pytest.approx(0.01, abs=2e-4)
+    assert found[:, 2].max() < 3e-4
+    assert ("before the command" in done.output) == (early_s > 0.1)
+
+
+def test_a_rest_without_a_part_at_rest_is_none(tmp_path):
+    bag = steps_bag(tmp_path / "b.mcap", 0.3)
+    done = of_drive(bag, tmp_path / "pairs.csv", "--rest", "2")
+    assert "commanded 30, 2 s: it creeps by" in done.output
+    assert "see what was left out" in str(done.exception)
+
+
+def coarse_bag(path, unit=1.0, angles=COMMANDED, counts=4096):
+    """Commands that the table follows 60 ms later, in steps of a coarse encoder."""
+    rows, hertz = [], 50
+    size = 360.0 / counts
+    for k, angle in enumerate(angles):
+        for n in range(2 * hertz):
+            late = angles[k - 1] if k and n < 3 else angle
+            moved = round((late + 0.2 * np.sin(np.deg2rad(late))) / size) * size
+            at = START_NS + (2 * hertz * k + n) * 1_000_000_000 // hertz
+            rows.append(("/drive", {"reference": angle * unit, "actual": moved * unit}, at))
+    write_messages(path, "json", rows)
+    return path
+
+
+TARGETS_OF_ISO = [3.17, 34.81, 61.44, 97.02, 121.68, 155.35, 181.9, 214.26, 243.71, 276.08]
+
+
+@pytest.mark.parametrize(("unit", "size"), [("deg", 1.0), ("rad", np.pi / 180.0)])
+@pytest.mark.parametrize("angles", [30.0 * np.arange(12), np.array(TARGETS_OF_ISO)])
+def test_commanded_and_actual_that_are_exchanged_are_noticed(unit, size, angles, tmp_path):
+    bag, out = coarse_bag(tmp_path / "b.mcap", size, angles), tmp_path / "pairs.csv"
+    asked = of_drive(bag, out, commanded="actual", actual="reference", unit=unit)
+    assert "are they exchanged?" in str(asked.exception)
+    assert "--as-stated" in str(asked.exception)
+    assert not out.exists()
+    assert of_drive(bag, out, unit=unit).exception is None
+    off = np.diff(np.loadtxt(out, delimiter=",", skiprows=1)[:, :2])[:, 0] / size
+    assert off == pytest.approx(0.2 * np.sin(np.deg2rad(angles)), abs=180.0 / 4096)
+
+
+def test_a_person_may_know_that_commands_follow(tmp_path):
+    bag, out = coarse_bag(tmp_path / "b.mcap"), tmp_path / "pairs.csv"
+    done = of_drive(bag, out, "--as-stated", commanded="actual", actual="reference")
+    assert done.exception is None, done.exception
+
+
+def test_nothing_is_overwritten(tmp_path):
+    bag, out = coarse_bag(tmp_path / "b.mcap"), tmp_path / "pairs.csv"
+    out.write_text("kept")
+    done = of_drive(bag, out)
+    assert f"{out} exists and is not overwritten; name another file with -o" in str(done.exception)
+    assert out.read_text() == "kept"

@@ -23,6 +23,7 @@ from rotcal_ros.evaluation.combination import UNCHECKED
 from rotcal_ros.evaluation.reference import UNCERTAINTIES, require_known_factor
 from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
@@ -104,6 +105,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     same = arrivals.target[:, None] == arrivals.target
     covariance = np.outer(stated, stated) * same + wide**2 * np.eye(len(values))
     doubts = _strangers(values, arrivals, dof)
+    protections = _protections(dof, 0 if np.ptp(plan.table_angles) >= TURN else count)
     result = Result(
         method=NAME,
         angles=np.array(plan.table_angles)[position],
@@ -115,13 +117,37 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
         n_observations=len(values),
         verdict="suspect" if doubts else "ok",
         warnings=(*doubts, *([] if dof else [UNCHECKED])),
-        protections=tuple(_protections(dof)),
+        protections=tuple(protections),
     )
-    if settings.runs == 1 and not settings.bidirectional:
-        return with_steps(result)
-    mean = mean_of_runs(result, arrivals, from_first=False)
-    assert mean.runs is not None
-    return with_steps(replace(mean, runs=replace(mean.runs, repeatability_std=scatter)))
+    if settings.runs > 1 or settings.bidirectional:
+        result = mean_of_runs(result, arrivals, from_first=False)
+        assert result.runs is not None
+        result = replace(result, runs=replace(result.runs, repeatability_std=scatter))
+    return with_steps(_closing(result, count) if len(result.angles) > 1 else result)
+
+
+def _closing(result: Result, count: int) -> Result:
+    """Return the result, suspect where deviations differ at one place of the table.
+
+    ``count``: the counts that are stated for a turn, 0 for none.
+    """
+    try:
+        measured_curve(result)
+    except DataError as error:
+        angles, values = result.angles, result.deviations["ECC"]
+        last = int(np.argmax(angles))
+        first = int(np.argmin(np.abs(angles[last] - TURN - angles)))
+        shown = count * (1.0 + (values[last] - values[first]) / TURN)
+        counts = [phrase("or a turn has {0} counts", round(shown))] if count else []
+        return replace(
+            result,
+            warnings=(
+                phrase("the table contradicts itself: {0}", error),
+                *counts,
+                *result.warnings,
+            ),
+        ).as_suspect()
+    return result
 
 
 def _scatter(values: Floats, arrivals: Arrivals) -> tuple[float, int]:
@@ -166,14 +192,21 @@ def _strangers(values: Floats, arrivals: Arrivals, dof: int) -> list[Phrase]:
     ]
 
 
-def _protections(dof: int) -> Iterator[Protection]:
+def _protections(dof: int, count: int) -> Iterator[Protection]:
+    """Yield them; ``count`` is stated for a turn, at whose end no deviation came again; or 0."""
+    scale = phrase(
+        "{0} counts are stated for a turn: one more is {1:.4g} arcsec at its end, and no angle "
+        "was measured a turn later",
+        abs(count), TURN / ARCSEC / abs(count or 1),
+    )  # fmt: skip
     known = ("axis noise", "repeatability") if dof else ()
     for effect in EFFECTS:
         if effect in known:
             yield Protection(effect, "estimated", phrase("the scatter of the runs is in U"))
         else:
+            why = phrase("nothing in a table of deviations shows it")
             yield Protection(
-                effect, "not protected", phrase("nothing in a table of deviations shows it")
+                effect, "not protected", scale if count and effect == "scale" else why
             )
     if not dof:
         yield Protection("single readings", "not protected", UNCHECKED)
