@@ -163,7 +163,7 @@ class Diagnosis:
         return found
 
     @cached_property
-    def improbability(self) -> float:
+    def bic(self) -> float:
         """BIC: twice -ln of the probability, by which whole beliefs are compared.
 
         As in :meth:`Look._support`; an observation that waits outside is explained by itself.

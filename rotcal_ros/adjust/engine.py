@@ -718,7 +718,7 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
         seen = np.maximum(values, needed / LARGEST**2)
         weight = ((ways * (needed / seen / len(each))[:, None]) @ ways.swapaxes(1, 2))[kind]
         first, second = np.repeat(alike, size, axis=1), np.tile(alike, (1, size))
-        found_of = fit.products_of(first.ravel(), second.ravel(), weight.reshape(1, -1))
+        found_of = fit.output_products(first.ravel(), second.ravel(), weight.reshape(1, -1))
         squares += found_of[: len(std), 0]
     squares = squares[counts] / std[counts] ** 2
     error = float(np.sqrt(squares.max(initial=0.0)))

@@ -213,7 +213,7 @@ def power(
 
     bench = PowerBench(prepare_whole(changed(read_configuration(configuration), changes)), runs)
     rows = power_rows(bench, lambda row: click.echo(", ".join(row.cells()), err=True), effects)
-    line, alarms = bench.plain(0).verdict_line, bench.false_alarms()
+    line, alarms = bench.undisturbed(0).verdict_line, bench.false_alarms()
     if as_json:
         si = {d.effect: d.unit_si for d in bench.listed()}
         found = [row.to_dict(si[row.effect]) for row in rows]
@@ -254,7 +254,7 @@ def add(additions: tuple[str, ...], present: tuple[Path, ...], as_json: bool) ->
     rows = [("as it is", 0.0, predicted_together(have))] if have else []
     for name in additions:
         calibration = _planned(name)
-        seconds, _ = DryRun(calibration, calibration.plan.table_angles[0]).taking()
+        seconds, _ = DryRun(calibration, calibration.plan.table_angles[0]).time_estimate()
         more = _expected(f"addition {name}", calibration, NOISE_SEED + 1)
         rows.append((name, seconds, predicted_together([*have, more])))
     if as_json:
@@ -293,7 +293,7 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
     model = alone.model_of_curves(observations)
     if model is None:
         return JointInput(name, alone.solve(observations))
-    return JointInput(name, alone.unsolved(observations, model), model)
+    return JointInput(name, alone.without_solution(observations, model), model)
 
 
 def _present(path: Path, seed: int) -> JointInput:

@@ -336,7 +336,7 @@ class LinuxCnc(EveryTurnController):
         if self.backlash_deg is None:
             return "" if table.adds_to else UNKNOWN_BACKLASH
         if not self.backlash_deg:
-            return self._joint(table.axis).misplaced if self.machine_ini else ""
+            return self._joint(table.axis).misplaced_backlash if self.machine_ini else ""
         about = f"BACKLASH = {self.backlash_deg:g} deg, which LinuxCNC ignores with a table"
         if table.adds_to:
             return f"{about}, did not act in the measurement either: nothing of it is added"
@@ -381,7 +381,7 @@ class LinuxCnc(EveryTurnController):
             return ()
         name, _ = only_file(files, ".comp")
         rows, joint = self.read(files).nominal_deg, self._joint(axis)
-        reasons = joint.not_using(folder / name, self.file_type)
+        reasons = joint.why_not_using(folder / name, self.file_type)
         beyond = joint.travel_beyond(rows[0], rows[-1])
         return tuple(reasons) if beyond is None else (*reasons, beyond)
 
@@ -478,7 +478,7 @@ class JointLimits:
     period: float
 
     @property
-    def at_once(self) -> float:
+    def largest_step(self) -> float:
         """The largest change (rad) that a trim at rest makes within one period."""
         return 0.25 * self.acceleration * self.period**2
 
@@ -491,12 +491,12 @@ class JointLimits:
     def stands(self, change: Floats) -> NDArray[np.bool_]:
         """Return whether a trim at rest stays where it is for these wanted changes (rad)."""
         size = np.abs(change)
-        above = size > self.at_once * (1.0 - EDGE)
+        above = size > self.largest_step * (1.0 - EDGE)
         return np.asarray(above & (size <= self.in_motion * (1.0 + EDGE)))
 
     def fastest_feed(self, steepest: float) -> float:
         """Return the feed (rad/s) up to which the trim follows a slope of ``steepest`` (1)."""
-        return self.at_once / (steepest * self.period) if steepest else np.inf
+        return self.largest_step / (steepest * self.period) if steepest else np.inf
 
     def behind(self, steepest: float, feed: float) -> float:
         """Return a bound (rad) on how far the trim is behind in motion; inf: without a bound.
@@ -511,7 +511,7 @@ class JointLimits:
             return float(np.inf)
         return self.in_motion + 2.0 * speed * self.period + 4.0 * speed**2 / self.acceleration
 
-    def left_standing(self, forward: Floats, reverse: Floats, closed: bool) -> float:
+    def residual_after_reversal(self, forward: Floats, reverse: Floats, closed: bool) -> float:
         """Return the most (rad) that remains after a slow reversal at any row and a slow move.
 
         ``forward`` and ``reverse`` (n,) rad are the trims at close angles that ascend; with
@@ -521,12 +521,12 @@ class JointLimits:
         away = self._left(forward, reverse, rows, closed)
         return max(away, self._left(reverse[::-1], forward[::-1], rows, closed))
 
-    def left_after_homing(
+    def residual_after_homing(
         self, forward: Floats, reverse: Floats, home: int, closed: bool
     ) -> float:
         """Return the most (rad) that remains in slow moves from row ``home``, where the trim is 0.
 
-        The other arguments are those of :meth:`left_standing`.
+        The other arguments are those of :meth:`residual_after_reversal`.
         """
         none, back = np.zeros_like(forward), len(forward) - 1 - home
         away = self._left(forward, none, np.array([home]), closed)
@@ -563,9 +563,9 @@ def trim_lag(
     ``home`` (rad) is the angle at which the axis is homed; there the trim begins with 0.
     """
     steepest = float(max(np.max(np.abs(np.gradient(t, angles))) for t in (forward, reverse)))
-    standing = following.left_standing(forward, reverse, closed)
+    standing = following.residual_after_reversal(forward, reverse, closed)
     row = int(np.argmin(np.abs(angles - (home % TURN if closed else home))))
-    at_first = following.left_after_homing(forward, reverse, row, closed)
+    at_first = following.residual_after_homing(forward, reverse, row, closed)
     behind = following.behind(steepest, feed)
     notes = []
     if standing:
@@ -579,7 +579,7 @@ def trim_lag(
 
 
 def _standing_note(following: JointLimits, standing: float, reversal: Floats) -> str:
-    low, high = np.array([following.at_once, following.in_motion]) / ARCSEC
+    low, high = np.array([following.largest_step, following.in_motion]) / ARCSEC
     sizes = np.abs(reversal) / ARCSEC
     return (
         f"a reversal asks LinuxCNC for changes of {np.min(sizes):.3g} to {np.max(sizes):.3g} "
@@ -590,7 +590,7 @@ def _standing_note(following: JointLimits, standing: float, reversal: Floats) ->
 
 
 def _homing_note(following: JointLimits, standing: float, home: float) -> str:
-    low, high = np.array([following.at_once, following.in_motion]) / ARCSEC
+    low, high = np.array([following.largest_step, following.in_motion]) / ARCSEC
     return (
         f"the trim is 0 when the axis has been homed, at {home / DEGREE:.6g} deg, and stands "
         f"still for changes of {low:.3g} to {high:.3g} arcsec: up to {standing / ARCSEC:.3g} "
@@ -620,7 +620,7 @@ def find_loaded_tables(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
     """
     for joint in all_joints(IniFile.read(path)):
         amount, table = joint.backlash_deg, joint.table_path
-        faults = [joint.misplaced] if joint.misplaced else []
+        faults = [joint.misplaced_backlash] if joint.misplaced_backlash else []
         size = f" deg ({amount * DEGREE / ARCSEC:.6g} arcsec)" if joint.is_angular else ""
         own = f"BACKLASH = {amount:g}{size}"
         if table is not None:

@@ -111,7 +111,7 @@ class ColumnMap:
         table.rows()  # each has a cell for each column
         return _mapped(table, heads, found[header], settings, known())
 
-    def heads(self, path: Path) -> Iterable[tuple[str, ...]]:
+    def heading_rows(self, path: Path) -> Iterable[tuple[str, ...]]:
         """Return the one row of names."""
         return [_comma_separated(path).header]
 
@@ -343,7 +343,7 @@ def remembered(path: Path, settings: SheetSettings) -> SheetSettings:
     Raises ConfigurationError for a file of forms that cannot be read.
     """
     forms = _forms(path.parent / FILE)
-    heads = {*form_reader().heads(path)} if forms else set[tuple[str, ...]]()
+    heads = {*form_reader().heading_rows(path)} if forms else set[tuple[str, ...]]()
     known = next((known for head, known in forms if head in heads), AS_IT_STANDS)
     more = {name: value for name, value in _stated(known).items()
             if getattr(settings, name) == getattr(AS_IT_STANDS, name)}  # fmt: skip
@@ -359,7 +359,7 @@ def of_tables(paths: Sequence[Path], settings: SheetSettings) -> dict[Path, Shee
         return dict.fromkeys(paths, settings)
     named, found = settings.named(), dict[Path, SheetSettings]()
     for path in paths:
-        texts = {folded(text) for head in form_reader().heads(path) for text in head}
+        texts = {folded(text) for head in form_reader().heading_rows(path) for text in head}
         there = tuple(f"{name}={t}" for name, t in named.items() if folded(t) in texts)
         found[path] = replace(settings, columns=there)
     every = {entry for own in found.values() for entry in own.columns}

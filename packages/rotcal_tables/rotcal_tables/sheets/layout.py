@@ -570,7 +570,9 @@ def find_unknown_unit(layout: Layout) -> tuple[str, str, str] | None:
 
 
 def _corner(
-    heads: Mapping[int, Heading], wanted: Mapping[str, TableColumn], named: Mapping[str, str]
+    heads: Mapping[int, Heading],
+    wanted: Mapping[str, TableColumn],
+    named: Mapping[str, str],
 ) -> Heading | None:
     """Return what the rows of a matrix are, where its first cell names rows and columns.
 

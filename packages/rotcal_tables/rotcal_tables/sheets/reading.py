@@ -159,7 +159,7 @@ class AnyFormReader:
             layout = replace(layout, form=cell_texts(dict(as_read.rows).get(at, ())))
         return _Rows(path, layout, settings, known()).read()
 
-    def heads(self, path: Path) -> Iterator[tuple[str, ...]]:
+    def heading_rows(self, path: Path) -> Iterator[tuple[str, ...]]:
         """Yield the first rows of all sheets, or of all ways to part the columns of a text."""
         for grid in read_sheets(path):
             yield from (cell_texts(cells) for _, cells in grid.rows[:_LOOKED_AT])
