@@ -113,7 +113,7 @@ def title_of(plan: Path) -> str:
 def _section(bench: PowerBench, rows: list[PowerRow]) -> str:
     """Return the table of one method, and what each effect is."""
     plan = bench.calibration.plan
-    result = bench.undisturbed(0)
+    result = bench.plain(0)
     summary = (
         f"{bench.runs} measurements of each size, {len(plan.table_angles)} table angles, "
         f"{len(plan.steps)} steps. Without any effect {bench.false_alarms()} of {bench.runs} were "

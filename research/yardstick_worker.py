@@ -110,7 +110,7 @@ def power(job: Answer) -> Answer:
     return {
         "noticed": bool(trial.noticed),
         "error": None if trial.error is None else rounded(trial.error),
-        "named": job["effect"] in here.undisturbed(0).unprotected,
+        "named": job["effect"] in here.plain(0).unprotected,
     }
 
 

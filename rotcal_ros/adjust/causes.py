@@ -76,10 +76,10 @@ def _with_scatter(whole: Diagnosis, explained: Diagnosis | None) -> Diagnosis:
     Before, it was weighed by a size that nobody would overlook, or as stated; what was
     ``explained`` so stays.
     """
-    diagnosis = (explained or whole).as_likely
+    diagnosis = (explained or whole).with_likely_scatter
     for judged in range(SCATTER_ROUNDS):
         fit, model = diagnosis.fit, diagnosis.model
-        sizes = [fit.sizes[each].weighing for each in model.scatterings]
+        sizes = [fit.sizes[each].median_size for each in model.scatterings]
         if not judged:
             sizes = _least_sizes(diagnosis, sizes)
         if explained and diagnosis.weighs(sizes):
@@ -111,7 +111,7 @@ def _least_sizes(diagnosis: Diagnosis, sizes: Sequence[float]) -> list[float]:
             chance, beside = each.beside(fit, errors)
             # an effect that reaches all contrasts leaves none that tell of the size
             if beside.contrasts and chance * among < limit:
-                found[k] = min(found[k], beside.weighing)
+                found[k] = min(found[k], beside.median_size)
     return found
 
 

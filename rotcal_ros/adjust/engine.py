@@ -459,7 +459,7 @@ class Adjusted:
         """
         scattering = {
             each.what: {
-                "size": sizes.weighing,
+                "size": sizes.median_size,
                 "contrasts": sizes.contrasts,
                 "none": float(sizes.weight[sizes.size == 0.0].sum()),
             }
@@ -572,12 +572,12 @@ def _doubts(found: Adjusted) -> Iterator[Phrase]:
         yield phrase(SCATTERS, phrase(model.components[k]), found.diagnosis.noise.factors[k])
     for each, sizes in found.fit.sizes.items():
         if each.stated is not None and sizes.probability < each.significance:
-            yield phrase(SCATTERS, phrase(each.what), sizes.weighing / each.stated)
+            yield phrase(SCATTERS, phrase(each.what), sizes.median_size / each.stated)
     if found.scale > 1.0:
         yield phrase(ENLARGED, found.scale)
     for e in found.found_effects:
         yield phrase(TAKEN_OFF, e.describe())
-    for best, rivals in found.diagnosis.open_contests:
+    for best, rivals in found.diagnosis.unresolved_contests:
         odds = [np.exp(max(best.support - e.support, 0.0)) for e in rivals]
         others = [
             phrase("that {0} (1 : {1:.2g})", e.what, o) for e, o in zip(rivals, odds, strict=True)

@@ -391,7 +391,7 @@ class Fit:
             _require_told(self.model, design)
         return self.counting(np.sqrt(self._plain_variance if variance is None else variance))
 
-    def far_worse_than(self, other: Fit, factor: float) -> bool:
+    def is_much_less_precise(self, other: Fit, factor: float) -> bool:
         """Whether an output is less sure than by ``factor`` times of another fit.
 
         Raises ObservabilityError where one is not determined at all.

@@ -75,7 +75,7 @@ class PosteriorSizes:
     probability: float = 1.0
 
     @property
-    def weighing(self) -> float:
+    def median_size(self) -> float:
         """The size that rows are best weighed by: the median, which is never nothing."""
         return max(self.quantile(0.5), FLOOR * self.noticed)
 

@@ -213,7 +213,7 @@ def power(
 
     bench = PowerBench(prepare_whole(changed(read_configuration(configuration), changes)), runs)
     rows = power_rows(bench, lambda row: click.echo(", ".join(row.cells()), err=True), effects)
-    line, alarms = bench.undisturbed(0).verdict_line, bench.false_alarms()
+    line, alarms = bench.plain(0).verdict_line, bench.false_alarms()
     if as_json:
         si = {d.effect: d.unit_si for d in bench.listed()}
         found = [row.to_dict(si[row.effect]) for row in rows]

@@ -93,7 +93,7 @@ class PowerBench:
         self.calibration, self.runs = calibration.of_distances, runs
         self._plain: dict[int, tuple[Result, Mapping[str, Floats]]] = {}
 
-    def undisturbed(self, number: int) -> Result:
+    def plain(self, number: int) -> Result:
         """Return the undisturbed result of trial ``number``."""
         return self._undisturbed(number)[0]
 
@@ -111,7 +111,7 @@ class PowerBench:
 
     def false_alarms(self) -> int:
         """Return how many undisturbed results are not ok."""
-        return sum(self.undisturbed(number).verdict != "ok" for number in range(self.runs))
+        return sum(self.plain(number).verdict != "ok" for number in range(self.runs))
 
     def trial(self, effect: Effect, size: float, number: int) -> Trial:
         """Return trial ``number`` with an effect of ``size`` (SI).
@@ -142,7 +142,7 @@ class PowerBench:
     def row(self, disturbance: Disturbance) -> PowerRow:
         """Return what a disturbance does before the verdict changes."""
         effect, unit = disturbance.effect, disturbance.unit_si
-        stated = {p.effect: p.treatment for p in self.undisturbed(0).protections}
+        stated = {p.effect: p.treatment for p in self.plain(0).protections}
         treatment = stated.get(effect, NOT_STATED)
         allowance = disturbance.stated
         allowed = 0.0
@@ -152,7 +152,7 @@ class PowerBench:
         def attempt(size: float, number: int) -> Trial:
             return self.trial(effect, size * unit, number)
 
-        named = effect in self.undisturbed(0).unprotected
+        named = effect in self.plain(0).unprotected
         facts = (effect, disturbance.what, treatment, disturbance.unit)
         if allowed > 0.0:
             error = detection_share(attempt, allowed, self.runs).error

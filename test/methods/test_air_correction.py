@@ -134,7 +134,7 @@ def test_the_verbs_that_predict_ask_for_no_air():
     corrected = changed(read_configuration(DATA / "tracer.yaml"), [CIDDOR])
     found = rc.uncertainty(corrected, trials=100, workers=1)
     assert found.result.verdict == "ok"
-    assert PowerBench(prepare(corrected), 1).undisturbed(0).verdict == "ok"
+    assert PowerBench(prepare(corrected), 1).plain(0).verdict == "ok"
 
 
 def test_only_what_the_correction_cannot_do_without_is_required():

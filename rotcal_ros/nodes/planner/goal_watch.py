@@ -228,7 +228,7 @@ class GoalWatch:
         self.progress.doing = doing
         self.show(self.progress)
 
-    def how_to_go_on(self, code: int, folder: SessionFolder | None) -> str:
+    def resume_instruction(self, code: int, folder: SessionFolder | None) -> str:
         """Return how to continue after an error that ends the goal half-way."""
         if code not in (
             Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED, Codes.TOPIC_MISSING,

@@ -107,7 +107,7 @@ class GoalRun:
             outcome.result_file = self.bag.keep_result(answer.result_json)
         except GoalError as error:
             begun = self.bag.folder is not None or error.code == Codes.CANCELED
-            onward = self.watch.how_to_go_on(error.code, self.bag.folder) if begun else ""
+            onward = self.watch.resume_instruction(error.code, self.bag.folder) if begun else ""
             outcome.error_code = error.code
             outcome.error_msg = "; ".join([str(error), *self._likely_causes(error)]) + onward
             await self.bag.close_after_failure()
