@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 
 DEGREE, ARCSEC = np.pi / 180.0, np.pi / 648000.0
@@ -132,8 +131,7 @@ def assert_true(scene, measured, length_m):
     assert len(measured.observations) == len(true)
     for o in measured.observations:
         assert o.accepted, o.reason
-        expected = true[o.station, o.table_position, o.target]
-        assert o.mean[0] == pytest.approx(expected, abs=length_m)
+        assert abs(o.mean[0] - true[o.station, o.table_position, o.target]) <= length_m
     result = measured.solve()
     assert result.verdict == "ok", result.warnings
     centring = np.eye(36) - 1.0 / 36
