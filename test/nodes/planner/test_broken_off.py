@@ -74,7 +74,7 @@ class Cell(SimpleNamespace):
     def nothing(self, *_):
         pass
 
-    heed_stop = tell = tell_choice = nothing
+    wait_out_stop = tell = publish_choice = nothing
 
     async def wait_for_slow_nodes(self):
         pass
