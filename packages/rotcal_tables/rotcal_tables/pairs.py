@@ -234,7 +234,7 @@ def find_rests(
     found, left_out = list[RestPair](), list[str]()
     for own in heard:
         left_out += [f"{own.numbers.topic}: {reason}" for reason in own.reasons()]
-    feedback = Feedback.of(stamps, angles, period)
+    feedback = ReportedAngles.of(stamps, angles, period)
     for (begin, end), level in zip(pairwise([*begins, int(stamps[-1]) + 1]), levels, strict=True):
         if (end - begin) * NANOSECOND < rest_s:
             continue  # on the way
@@ -257,7 +257,7 @@ def find_rests(
 
 
 @dataclass(frozen=True, eq=False)
-class Feedback:
+class ReportedAngles:
     """Actual angles (n,) with their times (n,), ns; ``step`` is the smallest between numbers."""
 
     stamps: Ints
@@ -266,7 +266,7 @@ class Feedback:
     step: float
 
     @classmethod
-    def of(cls, stamps: Ints, angles: Floats, period: float) -> Feedback:
+    def of(cls, stamps: Ints, angles: Floats, period: float) -> ReportedAngles:
         """Return the angles with their smallest step."""
         steps = np.diff(np.unique(angles))
         return cls(stamps, angles, period, float(steps.min()) if len(steps) else 0.0)
