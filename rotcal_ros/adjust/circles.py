@@ -19,9 +19,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
+from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.bordered import Groups, SparseDesign
-from rotcal_ros.adjust.kernels import Design, Kernel, LowRankUpdateKernel, dense
+from rotcal_ros.adjust.kernels import (
+    Design,
+    Kernel,
+    LowRankUpdateKernel,
+    ReweightedKernel,
+    dense,
+)
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -133,8 +140,31 @@ class CircleTurns:
 
     @cached_property
     def last(self) -> list[tuple[Floats, Kernel | None]]:
-        """With which weights (n,) of the rows the kernel was asked for last, and that kernel."""
+        """With which weights (n,) of the rows kernels were asked for last, and these kernels."""
         return []
+
+    @cached_property
+    def _parts(self) -> Ints:
+        """Numbers (t + C + s,) of the parts of turns, circles and others that share no unknown."""
+        felt = np.hstack([self.sign, self.tied])
+        graph = np.pad(felt, ((0, felt.shape[1]), (len(felt), 0)))
+        return np.asarray(connected_components(graph, directed=False)[1])
+
+    def factors(self, weight: Floats, before: Floats) -> Floats | None:
+        """Return one over how many times more each unknown (p,) counts than ``before`` (n,).
+
+        With the ``weight`` (n,) now; None where that is not the same of all rows of a part.
+        """
+        of_turn, of_unknown = np.split(self._parts, [len(self.sign)])
+        part, used = of_turn[self.turn], before > 0.0
+        ratio = np.ones(int(self._parts.max()) + 1)
+        ratio[part[used]] = weight[used] / before[used]
+        if (np.abs(weight - ratio[part] * before) > SAME * weight.max()).any():
+            return None
+        if not ratio.all():
+            return None
+        circles, others = np.split(1.0 / ratio[of_unknown], [self.circles])
+        return np.append(np.repeat(circles, self.size), others)
 
     @cached_property
     def _met(self) -> tuple[Ints, Ints]:
@@ -251,16 +281,21 @@ class CircularDesign(Design):
         """Return the kernel order by order, or by groups; None where it is not firm.
 
         Order by order where so few rows are missing that they are of low rank. The last one is
-        kept: the same weights come again and again.
+        kept: the same weights come again and again, or parts of them with another noise.
         """
         if self.extra.shape[1]:
             return self._kernel()
-        for weight, kept in self.turns.last:
+        last = self.turns.last
+        for weight, kept in last:
             if np.array_equal(weight, self.weight):
                 return kept
-        found = self._kernel()
-        self.turns.last[:] = [(self.weight, found)]
-        return found
+        if last and last[0][1] is not None:
+            factor = self.turns.factors(self.weight, last[0][0])
+            if factor is not None:
+                last[1:] = [(self.weight, ReweightedKernel(self, last[0][1], factor))]
+                return last[1][1]
+        last[:] = [(self.weight, self._kernel())]
+        return last[0][1]
 
     def _kernel(self) -> Kernel | None:
         share, usual, odd = self.turns.shares(self.weight)
@@ -525,7 +560,7 @@ class OrderwiseKernel(Kernel):
         if len(np.unique(turn)) == 1 and (run := outputs.run(circles * size, size)):
             read = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
             found = sliding_window_view(read, len(outputs))[(run[1] - place) % size]
-            return self._beside_common(found, outputs, turn, place)
+            return self._beside_common(found * value[0], outputs, turn, place)
         found = np.empty((len(rows), len(outputs)))
         for number, begin in enumerate(range(0, circles * size, size)):
             mine = np.flatnonzero((column >= begin) & (column < begin + size))

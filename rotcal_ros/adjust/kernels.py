@@ -707,6 +707,103 @@ class ConstrainedKernel(Kernel):
         return self.base.hat_square_sums(share)
 
 
+@dataclass(frozen=True, eq=False)
+class ReweightedKernel(Kernel):
+    """A ``base`` whose rows weigh otherwise, all those alike that have unknowns in common.
+
+    Its N^-1 is F times that of the base times F, with F the ``factor`` (p,) on each unknown: one
+    over that on the weights of its rows. What observations say of each other stays.
+    """
+
+    design: Design
+    base: Kernel
+    factor: Floats
+
+    @property
+    def directions(self) -> Floats:  # type: ignore[override]
+        """What nothing determines (p, k)."""
+        return self.factor[:, None] * self.base.directions
+
+    def times(self, columns: Floats) -> Floats:
+        """Return N^-1 times ``columns`` (p, k)."""
+        return self._scaled(self.base.times(self._scaled(columns)))
+
+    def _scaled(self, columns: Floats) -> Floats:
+        return np.asarray((columns.T * self.factor).T)
+
+    def among(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+        return self.base.among(rows)
+
+    def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
+        """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
+        return self.base.together(rows, white)
+
+    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+        """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
+        return self.base.among_each(rows)
+
+    @property
+    def leverage(self) -> Floats:
+        """The diagonal (n,) of J N^-1 J'."""
+        return self.base.leverage
+
+    def solve(self, white: Floats) -> Floats:
+        """Return the unknowns (p,) or (p, k) of least squares from what is read, whitened."""
+        return self._scaled(self.base.solve(white))
+
+    def gains(self, rows: Ints) -> Floats:
+        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
+        return self._scaled(self.base.gains(rows))
+
+    def adjusted(self, columns: Floats) -> Floats:
+        """Return J N^-1 times ``columns`` (p, k), (n, k)."""
+        return self.base.adjusted(self._scaled(columns))
+
+    def projected(self, white: Floats) -> Floats:
+        """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
+        return self.base.projected(white)
+
+    def projected_in(self, white: Floats, rows: Ints) -> Floats:
+        """Return the same of some ``rows`` (r,) alone, (r, k)."""
+        return self.base.projected_in(white, rows)
+
+    def variances(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
+        return self.base.variances(rows * self.factor)
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        return self.base.variances_of(outputs.weighted(self.factor))
+
+    def covariance_of(self, outputs: Outputs) -> Floats:
+        """Return the covariance (o, o) of ``outputs``."""
+        return self.base.covariance_of(outputs.weighted(self.factor))
+
+    def parts_of(self, outputs: Outputs) -> tuple[csr_array, Floats, Floats] | None:
+        """Return the parts of the base, of outputs times the factors."""
+        return self.base.parts_of(outputs.weighted(self.factor))
+
+    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) of what a unit of one row does to each output times one of another.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
+        """
+        return self.base.products_of(outputs.weighted(self.factor), first, second, weight)
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        return self.base.response(outputs.weighted(self.factor), rows)
+
+    def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
+        """Return the same in parts that are few, where they are."""
+        return self.base.sensitivity(outputs.weighted(self.factor), rows)
+
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
+        return self.base.squares_between(share)
+
+
 def squares_outside(white: Floats, columns: Floats, sign: Floats) -> tuple[float, int]:
     """Return T = r'R^+r and the rank of R = 1 - ``columns`` (k, r) ``sign`` (r,) times their own.
 

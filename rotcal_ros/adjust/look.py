@@ -90,8 +90,10 @@ class SolutionView:
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""
         limits = self.before.limits
-        if len(self._oddest) and self._stands_out(self._oddest[0]) and not self._with_others:
-            yield self.singles[0]
+        if len(self._oddest):
+            value, limit = self._test(self._oddest[0])
+            if value > limit and not self._with_others:
+                yield self.singles[0]
         yield from self.significant_effects()
         judgement = self.diagnosis.gathering.judgement
         # proof takes the noise for known; of few residuals its chance is drawn
@@ -154,10 +156,6 @@ class SolutionView:
         others = max(self.rest[0] - squares, NOTHING) / left
         limit = rank * float(f_isf(limits.of_each_observation(model), max(rank, 1.0), left))
         return float(np.sqrt(squares / others)), float(np.sqrt(limit))
-
-    def _stands_out(self, element: int) -> bool:
-        value, limit = self._test(element)
-        return value > limit
 
     def _support(self, squares: float, rank: int, alternatives: float) -> tuple[float, float]:
         """Return ln of how probable an explanation is, by BIC, among so many of its kind.
@@ -435,16 +433,16 @@ class SolutionView:
             alike = sizes == size
             judged[:, alike] = self._judged(rows[alike[of_row]].reshape(-1, size))
         names = grouping.names_of(number.tolist())
-        each = zip(names, sizes, whole, kept, few, judged.T, strict=True)
-        for k, (name, size, count, left, asked, (squares, rank, share)) in enumerate(each):
-            known = grouping.kind, name
+        columns = (each.tolist() for each in (sizes, whole - kept, kept, few, judged.T))
+        for k, (name, size, lost, left, asked, found) in enumerate(
+            zip(names, *columns, strict=True)
+        ):
             if asked:
-                yield JudgedGroup(
-                    *known, int(left), (float(squares), int(rank)), (float(share), int(size)),
-                    int(count - left),
-                )  # fmt: skip
+                squares, rank, share = found
+                checks = share, size
+                yield JudgedGroup(grouping.kind, name, left, (squares, int(rank)), checks, lost)
             elif size:
-                yield _as_a_whole(fit, *known, rows[of_row == k], int(count - left))
+                yield _as_a_whole(fit, grouping.kind, name, rows[of_row == k], lost)
 
     def _judged(self, rows: Ints) -> Floats:
         """Return T, its degrees of freedom and the share that others check of groups (g, e)."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.bordered import BorderedKernel, SparseDesign
 from rotcal_ros.adjust.circles import CircularDesign
@@ -13,6 +13,7 @@ from rotcal_ros.adjust.kernels import (
     DenseDesign,
     DenseKernel,
     LowRankUpdateKernel,
+    ReweightedKernel,
 )
 from rotcal_ros.adjust.outputs import Outputs
 
@@ -151,6 +152,36 @@ def test_circles_with_readings_left_out_and_effects(size, left_out, effects, see
     kernel = white.kernel()
     assume(kernel is not None)
     agrees(kernel, expected, random)
+
+
+@given(
+    st.integers(5, 12), st.integers(0, 3), st.sampled_from([1e-3, 0.4, 7.0]), st.integers(0, 2**32)
+)
+def test_circles_that_share_no_unknown_take_each_its_own_noise(size, left_out, ratio, seed):
+    random = np.random.default_rng(seed)
+    each, n = circular(random, size, (0, 1, 3)).few, 3 * size
+    column = np.arange(2 * size + 3)
+    place = np.where(column < 2 * size, column, column + 2 * size)  # zeros of settings come last
+    shift = np.where(column < 2 * size, 2 * size, 3)
+    parts = [
+        csr_array((each.data, where[each.indices], each.indptr), shape=(n, 4 * size + 6))
+        for where in (place, place + shift)
+    ]
+    design = CircularDesign.of(csr_array(vstack(parts, format="csr")), 4, size)
+    used = np.ones(2 * n)
+    used[random.choice(2 * n, left_out, replace=False)] = 0.0
+    before = design.weighted(used).kernel()
+    assume(before is not None)
+    factors = np.repeat([1.0, ratio], n)
+    white = design.weighted(used * factors)
+    expected = Reference(white.dense())
+    assume(expected.firm)
+    kernel = white.kernel()
+    assert isinstance(kernel, ReweightedKernel)
+    assert kernel.base is before
+    agrees(kernel, expected, random)
+    uneven = np.where(np.arange(2 * n) % 2, factors, 1.3 * factors)
+    assert not isinstance(design.weighted(used * uneven).kernel(), ReweightedKernel)
 
 
 @given(bordered(), st.integers(0, 4), st.integers(0, 2), st.booleans())

@@ -229,8 +229,9 @@ def name_page_fields(text: str, method: str) -> Phrase:
         rest = found[0].removeprefix("--set") if found[1] == "set" else ""
         return place(label, "" if label is _TICK else '"') + rest
 
+    text = _ADVICE.sub("", text)
     text = _STATED.sub(lambda found: found[1] if "." in found[1] else f"--set {found[1]}", text)
-    text = _VERB.sub(_options_alone, _ADVICE.sub("", text).replace("{", "(").replace("}", ")"))
+    text = _VERB.sub(_options_alone, text.replace("{", "(").replace("}", ")"))
     text = _OPTION.sub(option, _NAMED.sub(setting, text))
     return phrase(text, *labels)
 
@@ -251,8 +252,10 @@ def _in_words(question: Question, asked: WorkRequest) -> Reply:
 
 
 def list_fitting_methods(asked: WorkRequest) -> Reply:
-    """Return the methods whose columns the table has."""
-    return {"methods": [m.name for m in fitting_methods(asked.folder / FILE_NAMES[TABLE])]}
+    """Return the methods whose columns the table has, those that need nothing else first."""
+    found = fitting_methods(asked.folder / FILE_NAMES[TABLE])
+    found = sorted(found, key=lambda method: method.table is None or method.table.needs_setup)
+    return {"methods": [method.name for method in found]}
 
 
 def explain_tables(asked: WorkRequest) -> Reply:

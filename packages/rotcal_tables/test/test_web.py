@@ -303,6 +303,12 @@ def test_rows_left_out_are_told_with_their_reason(visitor):
     ]
 
 
+def test_of_methods_that_fit_the_one_that_needs_nothing_else_comes_first(visitor):
+    runs = 'Soll [°],Abweichung 1 ["],Abweichung 2 ["]\n0,0,0\n90,3,5\n180,1,2\n'
+    visitor.drop("table", "runs.csv", runs.encode())
+    assert visitor.work("fit")["methods"] == ["deviations", "angle_comparison"]
+
+
 def test_what_a_method_has_to_be_told_is_named(visitor):
     visitor.drop("table", "balls.csv", (DATA / "balls.csv").read_bytes())
     error = visitor.work("explain", method="ball_plate")["error"]
@@ -342,6 +348,9 @@ def test_what_a_method_has_to_be_told_is_named(visitor):
          "or plan.chain (in a set-up file)"),
         ("tracer_multistation", "give --targets TARGETS.csv with x, or --targets a.csv",
          'give "Targets" with x, or "Targets"'),
+        ("tracer_multistation", "no column length_m. State a column with another name by --set "
+         r"""'sheet.columns=["length=A 1 [\"]"]' or --set 'sheet.columns=["length=B"]'""",
+         "no column length_m"),
         ("deviations", "no {place} for --option in laser.csv", "no (place) for --option in"
          " laser.csv"),
     ],
