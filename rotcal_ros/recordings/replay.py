@@ -359,11 +359,16 @@ def _turns(
     make = partial(_feeder, calibration, configuration, lambda _run: streams)
     passes = partial(read_blocks, asked.files, None, asked.limits)
     tolerance_ns = _allowed_disorder_ns(configuration)
-    _, feeder, _ = _read_in_order(passes, topics, make, "streams", tolerance_ns)
+    contents, feeder, _ = _read_in_order(passes, topics, make, "streams", tolerance_ns)
     if open_question := next(feeder.joints.faults(), None):
         raise DataError(open_question)
     assert configuration.method.of_turns is not None
-    found = configuration.method.of_turns(configuration, streams, str(asked.path))
+    try:
+        found = configuration.method.of_turns(configuration, streams, str(asked.path))
+    except DataError as error:
+        verdicts = [scan.verdict() for scan in contents.scans]
+        damage = next((f"{v.path.name}: {v.sentence()}" for v in verdicts if not v.whole), "")
+        raise DataError(f"{error}; {damage}") if damage else error from error
     offsets = [feeder.offset] * len(found.observations)
     return found.calibration, apply_clock_limit(found.observations, offsets, ()), feeder
 

@@ -281,6 +281,11 @@ class StreamFeeder:
             raise BagError(unstamped)
         for columns in part.decoder.columns(block.select(part.rows), form.fields, ()):
             rows = part.rows[columns.rows]
+            if lists := [name for name in numbers if columns.values[name].ndim > 1]:
+                raise BagError(
+                    f"topic {channel.topic}: {lists[0]} is a list of numbers: say which of them "
+                    f"in the group topics, as {lists[0]}.0 for the first"
+                )
             values = np.column_stack([columns.values[name] for name in numbers])
             stamps = columns.stamp_ns() if form.stamped else self._sent_ns(block, rows)
             found.append((rows, stamps, values.astype(np.float64)))

@@ -168,3 +168,38 @@ def test_an_angle_at_which_the_feedback_paused_is_refused(scene, tmp_path):
     refused = [o for o in measured.observations if not o.accepted]
     assert [(o.target, o.station, o.table_position) for o in refused] == [(0, 1, 20)]
     assert "feedback paused" in refused[0].reason
+
+
+def plain_rows(scene, angle_message):
+    read, length, shown, angle = streams_of(scene)
+    return sorted(
+        [
+            *(("/cell/tracer_length", {"distance": x}, START_NS + round(t * 1e9))
+              for t, x in zip(read.tolist(), length.tolist(), strict=True)),
+            *(("/cell/joint_states", angle_message(a), START_NS + round(t * 1e9))
+              for t, a in zip(shown.tolist(), angle.tolist(), strict=True)),
+        ],
+        key=lambda row: row[2],
+    )  # fmt: skip
+
+
+PLAIN = "length_field: distance, angle_field: at, length_clock: sent, table_clock: sent"
+
+
+def test_a_bag_that_breaks_off_says_so_where_turns_are_missing(scene, tmp_path):
+    bag = tmp_path / "cell.mcap"
+    write_messages(bag, "json", plain_rows(scene, lambda a: {"at": a}))
+    bag.write_bytes(bag.read_bytes()[: bag.stat().st_size * 3 // 5])
+    with pytest.raises(DataError, match=r"found \d turns.*cell\.mcap.*truncated at byte"):
+        MeasurementInput(bag, setup(scene, tmp_path, PLAIN)).read()
+
+
+def test_of_a_list_of_angles_it_is_asked_which_one_is_the_tables(scene, tmp_path):
+    bag = tmp_path / "cell.mcap"
+    write_messages(bag, "json", plain_rows(scene, lambda a: {"at": [0.3, a]}))
+    with pytest.raises(
+        BagError, match=r"at is a list of numbers: say which of them .* as at\.0 for"
+    ):
+        MeasurementInput(bag, setup(scene, tmp_path, PLAIN)).read()
+    second = PLAIN.replace("at,", "at.1,")
+    assert_true(scene, MeasurementInput(bag, setup(scene, tmp_path, second)).read())

@@ -61,6 +61,8 @@ _COARSE: Final = ("deg", "gon", "dms")
 """Units of table angles rather than of deviations."""
 CORNER: Final = re.compile(r"[\\|/]")
 """What stands in the corner of a matrix between the names of its rows and columns."""
+_NO_MEASURE: Final = re.compile(r"[%‰]|\|[^|]+\|")
+"""What heads a share, or absolute values, which have lost their sign."""
 _NO_UNIT: Final = ("", "-", "1")
 """What stands for none in a line of units."""
 _SYMBOL: Final = re.compile(
@@ -540,6 +542,8 @@ def _meant(
     )
     if chosen:
         return [name for name in chosen if name in wanted or name in beside]
+    if _NO_MEASURE.search(head.text):
+        return []
     quantities = {quantity_of(unit) for unit in head.units}
     own = [
         name
@@ -554,8 +558,10 @@ def _meant(
     return [name for name in known if name in wanted or name in beside]
 
 
-def strange_unit(layout: Layout) -> tuple[str, str, str] | None:
+def strange_unit(layout: Layout | None) -> tuple[str, str, str] | None:
     """Return heading, unit and quantity of a missing column that has no unit of its quantity."""
+    if layout is None:
+        return None
     wanted = {column.name: column for column in map(TableColumn.of, layout.missing)}
     for text in layout.aside:
         if found := IN_BRACKETS.fullmatch(plain(text)):
@@ -652,8 +658,12 @@ def _only(words: Mapping[str, list[Cells]]) -> list[Cells]:
 
 def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
     """Return which of the values the head of a matrix's column names, and the label beside it."""
-    if len(values) == 1:
-        return values[0].name, head.name
+    if len(values) == 1:  # Run 1 up deviation
+        parts = head.name.split()
+        left = [part for part in parts if values[0].name not in columns_of(Heading(part, part))]
+        label = " ".join(left)
+        says = any(map(str.isalpha, label)) and any(map(str.isdigit, label))
+        return values[0].name, label if says else head.name
     words = [word for word in re.split(_LETTER, head.name) if word]
     found = [word for word in words if any(folded(word) == value.name for value in values)]
     rest = " ".join(word for word in words if word not in found)

@@ -27,10 +27,11 @@ _GROUPED: Final = {
 _SEXAGESIMAL: Final = {
     mark: re.compile(
         r"""([-+]?)\s*(\d+)\s*([°d:\s])\s*(?:(\d+(?:M\d*)?)\s*['′m:\s]?\s*"""
-        r"""(?:(\d+(?:M\d*)?)\s*(?:"|''|′′|s)?)?)?""".replace("M", re.escape(mark))
+        r"""(?:(\d+(?:M\d*)?)\s*(?:"{1,2}|''|′′|s)?)?)?""".replace("M", re.escape(mark))
     )
     for mark in (".", ",")
 }
+_SIGN_APART: Final = re.compile(r"^([-+])\s+")
 _MINUTES_FIRST: Final = re.compile(r"^([-+]?)(?=\d+['′])")
 _MEASURE: Final = re.compile(r"(.*?\d\.?)\s*([^\d\s.,+-].*)", re.DOTALL)
 
@@ -101,7 +102,7 @@ def _decimal(text: str, mark: str) -> Decimal | None:
         if grouped is None or text.lstrip("+-").startswith("0"):
             return None
         text = text.replace(other, "")
-    text = text.replace(mark, ".")
+    text = _SIGN_APART.sub(r"\1", text.replace(mark, "."))
     if not _NUMBER.fullmatch(text):
         return None
     return Decimal(re.sub(f"[{_SPACES}]", "", text).lower().replace("d", "e"))

@@ -92,15 +92,21 @@ def not_understood(
 ) -> BagError:
     """Return what is missing, the columns that may be it, and the options that say so."""
     expected = " or ".join(f"'{','.join(header)}'" for header in headers)
-    if layout is None:
-        return _no_names(path, headers, expected, grids)
-    if strange := strange_unit(layout):
+    sheet, row = _likely_row(grids)
+    bare = (
+        Layout(sheet, headers[-1], {}, aside=tuple(row.values()), missing=tuple(headers[-1]))
+        if sheet
+        else None
+    )
+    if strange := strange_unit(layout or bare):
         text, unit, quantity = strange
         return BagError(
             f"{path}: {unit!r} in the heading {text!r} is an unknown unit: known for "
             f"{quantity} are {', '.join(UNITS[quantity])}: write one of these there, and convert "
             "the numbers if need be"
         )
+    if layout is None:
+        return _no_names(path, headers, expected, grids)
     found = ", ".join(f"{name} ({use.text!r})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
     angles = layout.missing[0] == "position" and len(layout.header) == 2

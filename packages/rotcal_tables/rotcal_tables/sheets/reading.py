@@ -69,6 +69,7 @@ from rotcal_tables.sheets.questions import (
 from rotcal_tables.sheets.words import (
     ACTUAL,
     DIRECTION,
+    NOTHING,
     REVERSED,
     RUN,
     TABLE_ANGLE,
@@ -79,6 +80,7 @@ from rotcal_tables.sheets.words import (
     is_summary,
     kind_of,
     label_of,
+    units_of,
 )
 
 _WITHOUT_SIGN: Final = frozenset({"u", "expanded", "uncertainty"})
@@ -96,6 +98,8 @@ _SHOWN: Final = 6
 """Columns that are shown side by side."""
 _Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
 """Its number, and its cells by column."""
+_KINDS: Final = 4
+"""Most words of a column that tells kinds of measurements apart."""
 _NO_KEYS: Final = frozenset({"position", "segment"})
 """Columns of numbers that do not identify what was measured."""
 READ_OUT: Final = 0.01 * DEGREE
@@ -180,10 +184,12 @@ class _Rows:
         ]
         if not rows:
             why = "".join(f" (row {row}: {what})" for row, what in self._left_out[:1])
+            formulas = ", or save the workbook where its formulas are computed"
             raise DataError(
                 f"{self._path}: the table has a header but no rows{why}: add what was measured "
-                "below it"
+                f"below it{formulas if layout.sheet.name else ''}"
             )
+        self._require_one_unit([number for number, _ in rows])
         mark = self._mark([values for _, values in rows])
         self._seen = rows, mark
         columns = [self._column(column, rows, mark) for column in self._columns]
@@ -209,6 +215,19 @@ class _Rows:
             self._found,
             form_head=layout.form,
         )
+
+    def _require_one_unit(self, kept: Sequence[int]) -> None:
+        """Raise DataError where a column of units states several: it says of which number."""
+        rows = dict(self._layout.sheet.rows)
+        for text, place in zip(self._layout.head, self._layout.places, strict=True):
+            cells = [text_of((*rows[row], *[""] * (place + 1))[place]) for row in kept]
+            units = dict.fromkeys(units_of(cell) for cell in cells if cell)
+            if text in self._layout.aside and len(units) > 1 and all(units):
+                several = ", ".join(dict.fromkeys(cells))
+                raise DataError(
+                    f"{self._path}: {text!r} states several units, {several}: "
+                    "write each behind its number, or convert the numbers to one"
+                )
 
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
         """Yield the rows of values; note those that are left out, and why."""
@@ -247,6 +266,10 @@ class _Rows:
             return phrase("a line of text ({0})", str(texts[0])[:40])
         if self._of_runs() and label_of(text_of(cells[self._layout.uses[RUN].place])) is None:
             return phrase("no run ({0})", text_of(cells[self._layout.uses[RUN].place])[:40])
+        angle = self._layout.uses.get(TABLE_ANGLE)
+        at = text_of(cells[angle.place]) if angle else ""
+        if not (is_nothing(at) or any(map(str.isdigit, at))):
+            return phrase("a line about others ({0})", at[:40])
         values = {c.name for c in self._columns if c.quantity not in ("", TIME)} | {ACTUAL}
         uses = self._layout.uses.items()
         measured = [cells[use.place] for name, use in uses if name in values]
@@ -631,6 +654,7 @@ class _Rows:
         """
         if not known.angles:
             if is_repeated(halts):
+                self._require_one_kind(halts)
                 self._passes(halts)
             return [halt.number for halt in halts]
         numbers = [min(range(len(angles)), key=lambda k: abs(angles[k] - angle))
@@ -653,6 +677,32 @@ class _Rows:
         ways = [(halt.number, run, down and bool(known.downward))
                 for halt, (run, down) in zip(halts, found, strict=True)]  # fmt: skip
         return [positions.get(way, positions[way[0], 0, way[2]]) for way in ways]
+
+    def _require_one_kind(self, halts: Sequence[Halt]) -> None:
+        """Raise a question where words of no known column part what was measured at one angle.
+
+        They may be those of several axes, or of a reading that its program holds for bad.
+        """
+        rows, aside = dict(self._layout.sheet.rows), {*self._layout.aside}
+        for text, place in zip(self._layout.head, self._layout.places, strict=True):
+            kinds = dict[tuple[object, ...], dict[str, int]]()
+            for halt in halts if text in aside else ():
+                cell = text_of((*rows[halt.row], *[""] * (place + 1))[place])
+                if cell and not is_number(cell):
+                    kinds.setdefault((halt.what, halt.number), {}).setdefault(cell, halt.row)
+            words = dict.fromkeys(word for at in kinds.values() for word in at)
+            parted = next((at for at in kinds.values() if len(at) > 1), {})
+            if parted and len(words) <= _KINDS and NOTHING not in self._settings.named():
+                raise undecided(
+                    f"{self._path}: {text!r} is {' and '.join(words)}, in rows of one angle "
+                    f"({', '.join(map(str, parted.values()))}): where these are not runs of one "
+                    "measurement, keep the rows of one of them",
+                    "sheet.columns",
+                    [
+                        (meaning(RUN, text), "each is a run"),
+                        (meaning(NOTHING, text), "it is no matter"),
+                    ],
+                )
 
     def _passes(self, halts: Sequence[Halt], *, both: bool = False) -> list[Pass]:
         """Return the passes of the halts, and note how many runs they are."""

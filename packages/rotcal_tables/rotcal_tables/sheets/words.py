@@ -34,6 +34,8 @@ TABLE_ANGLE: Final = "angle"
 DIRECTION: Final = "direction"
 RUN: Final = "run"
 """Columns that say which visit of a table angle it was."""
+NOTHING: Final = "nothing"
+"""What a person says of a column that is no matter."""
 SETTING: Final = "setting"
 """A column of settings of a reference beside the table."""
 ACTUAL: Final = "actual"
@@ -165,7 +167,7 @@ def answer(column: str, text: str) -> str:
 
 def known_columns() -> tuple[str, ...]:
     """Return the columns that have names in our words."""
-    return (*_words()["columns"], ACTUAL, REVERSED)
+    return (*_words()["columns"], ACTUAL, REVERSED, NOTHING)
 
 
 def units_of(text: str) -> tuple[str, ...]:

@@ -84,11 +84,10 @@ from rotcal_ros.methods.tracer.solver.reporting import (
 )
 from rotcal_ros.methods.tracer.solver.turning import (
     TimeCorrelatedLengths,
-    details_of_turns,
     in_time,
-    remarks_of_turns,
     tie_runs_of_table,
 )
+from rotcal_ros.methods.tracer.solver.turning_report import TurningReport
 from rotcal_ros.methods.tracer_six.solver.poses import (
     Curves,
     StartPoses,
@@ -424,6 +423,17 @@ class SixSolution:
         return np.asarray((moved - self.curves.table_origin) @ self.curves.table_turn)
 
     @property
+    def radius(self) -> float:
+        """The mean distance, m, of the places from the axis."""
+        return float(np.hypot(*self.places[:, :2].T).mean())
+
+    @cached_property
+    def turns(self) -> TurningReport:
+        """What is known of a table that turned."""
+        again = self.problem.earlier[self.lengths.row]
+        return TurningReport(self.lengths, again, self.found, self.in_time)
+
+    @property
     def targets(self) -> Floats:
         """The targets (n, 3), m."""
         return np.asarray(self.lengths.targets + self.part("target"))
@@ -549,7 +559,7 @@ def result_of(solution: SixSolution) -> Result:
         further=False,
     )
     verdict, warnings = upward.judged(*numbering.judged(plain.verdict, plain.warnings))
-    warnings = (*warnings, *remarks_of_turns(lengths, problem.lag, solution.in_time))
+    warnings = (*warnings, *solution.turns.remarks(problem.lag, solution.radius))
     if reported is not None and reported.warning:
         warnings = (*warnings, reported.warning)
 
@@ -632,6 +642,7 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
                     "stated; {0} contrasts between the places show more of it", sizes.contrasts
                 ),
             )
+    yield from solution.turns.protections()
     if problem.speed is not None:
         yield Protection(
             "repeatability",
@@ -641,23 +652,23 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
                 "repeat joins the scatter of the lengths"
             ),
         )
-    radius = float(np.hypot(*solution.places[:, :2].T).mean())
     yield tangential_protection(
-        radius,
+        solution.radius,
         alike=phrase(", by the same at every place,"),
         of=phrase(" of ECC"),
         beside=phrase("what differs from place to place is scatter"),
-        within=_returned(solution, radius),
+        within=_returned(solution),
         shown=phrase("angles that were measured again"),
         untested=phrase("it"),
     )
 
 
-def _returned(solution: SixSolution, radius: float) -> float | None:
+def _returned(solution: SixSolution) -> float | None:
     """Return within how many m the tracer came back along its circle, 95 %; None: untested.
 
     Seen by an angle that comes again, after a whole turn or in the same run, whichever says less.
     """
+    radius = solution.radius
     closings = [c for c in solution.found.closed if c.relation.what.startswith("ECC ")]
     each = [(radius * c.error[0], radius * c.std[0]) for c in closings]
     layout, lengths, fit = solution.layout, solution.lengths, solution.found.fit
@@ -705,7 +716,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "coverage_factor": HALF_OF_95_PERCENT,
         "covariance_scale": found.scale,
         **({} if reported is None else {"reported_places": asdict(reported)}),
-        **details_of_turns(lengths, found, solution.in_time),
+        **solution.turns.details(),
     }
 
 
