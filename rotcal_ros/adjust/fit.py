@@ -307,7 +307,7 @@ class Fit:
 
     def covariance(self, part: slice) -> Floats:
         """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
-        whole = self.kernel.covariance_of(self.model.output_rows.part(part))
+        whole = self._plain_covariance(part)
         for alone, spread in self._spread:
             whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         for begin in range(0, len(whole), FEW_ROWS):
@@ -316,6 +316,9 @@ class Fit:
             mean *= 0.5
             whole[rows, rest], whole[rest, rows] = mean, mean.T
         return whole
+
+    def _plain_covariance(self, part: slice) -> Floats:
+        return self.kernel.covariance_of(self.model.output_rows.part(part))
 
     def compact(self, part: slice) -> CompactCovariance | None:
         """Return the covariance in the form of few numbers; None where it has none."""
