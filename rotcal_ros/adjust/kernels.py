@@ -731,17 +731,17 @@ class ReweightedKernel(Kernel):
     def _scaled(self, columns: Floats) -> Floats:
         return np.asarray((columns.T * self.factor).T)
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        return self.base.among(rows)
+        return self.base.hat_block(rows)
 
     def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
         return self.base.together(rows, white)
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
-        return self.base.among_each(rows)
+        return self.base.hat_blocks(rows)
 
     @property
     def leverage(self) -> Floats:
@@ -784,12 +784,14 @@ class ReweightedKernel(Kernel):
         """Return the parts of the base, of outputs times the factors."""
         return self.base.parts_of(outputs.weighted(self.factor))
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
         """
-        return self.base.products_of(outputs.weighted(self.factor), first, second, weight)
+        return self.base.output_products(outputs.weighted(self.factor), first, second, weight)
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
@@ -799,9 +801,9 @@ class ReweightedKernel(Kernel):
         """Return the same in parts that are few, where they are."""
         return self.base.sensitivity(outputs.weighted(self.factor), rows)
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
-        return self.base.squares_between(share)
+        return self.base.hat_square_sums(share)
 
 
 def squares_outside(white: Floats, columns: Floats, sign: Floats) -> tuple[float, int]:
