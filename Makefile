@@ -62,8 +62,8 @@ power: setup  ## what could be wrong, and would the verdict say so? docs/what_co
 	@$(BIN)/python research/power_table.py $(POWER_ARGS)
 	@$(BIN)/python research/gathered_table.py $(GATHERED_ARGS)
 
-yardstick: setup  ## is this commit as true, watchful and quick as main? docs/yardstick.md, hours
-	@$(BIN)/python research/yardstick.py --old main --new HEAD --page docs/yardstick.md $(YARDSTICK_ARGS)
+yardstick: setup  ## is this commit as true, watchful and quick as main? out/yardstick.md, hours
+	@$(BIN)/python research/yardstick.py --old main --new HEAD --page out/yardstick.md $(YARDSTICK_ARGS)
 
 data-set: setup  ## make the open data set, and its leaderboard in docs/data_set.md: out/dataset
 	@$(BIN)/python research/make_dataset.py --page docs/data_set.md $(DATA_SET_ARGS)

@@ -9,6 +9,8 @@ from rosbags.highlevel import AnyReader
 from scipy.optimize import least_squares
 
 CASE = Path(sys.argv[1] if len(sys.argv) > 1 else "out/dataset/tracer/none_1")
+if not (CASE / "bag").exists():
+    sys.exit(f"no {CASE}/bag: python research/make_dataset.py out/dataset --method tracer")
 LENGTH, TARGET, CIRCLE, START = 0.3e-6, 1e-6, 0.1e-6, (0.0569, -0.0318, 0.1225)  # m: its README
 
 # What was read in each step, from its orders to those of the next one.

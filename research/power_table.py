@@ -135,6 +135,7 @@ def _put(page: Path, title: str, section: str, beside: bool) -> None:
     """Write the page with ``section`` under its title, in place or ``beside`` what was there."""
     old = page.read_text(encoding="utf-8") if page.exists() else ""
     sections = dict(re.findall(r"^## (.*?)\n\n(.*?)(?=^## |\Z)", old, flags=re.M | re.S))
+    beside = beside and title in sections
     sections[title] = (_joined(sections[title], section) if beside else section) + "\n"
     known = [title_of(plan) for plan in plans_of(METHODS)]
     order = [name for name in known if name in sections]

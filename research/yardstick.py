@@ -222,7 +222,7 @@ SECTIONS: Final = (
 INTRODUCTION: Final = """# The yardstick
 
 Before a part of the engine moves, the code before and the code after are measured side by side,
-on the same seeds: `python research/yardstick.py --old main --new HEAD --page docs/yardstick.md`.
+on the same seeds: `python research/yardstick.py --old main --new HEAD --page out/yardstick.md`.
 
 * missed: the new code is not good enough
 * as old: neither is good enough, and the new code is no worse

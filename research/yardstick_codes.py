@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -107,9 +108,9 @@ class Code:
             lines.writelines(json.dumps(job) + "\n" for job in todo)
             lines.seek(0)
             worker = subprocess.Popen(
-                [sys.executable, str(ROOT / "research" / "yardstick_worker.py")],
+                [sys.executable, "-S", str(ROOT / "research" / "yardstick_worker.py")],
                 stdin=lines, stdout=subprocess.PIPE, text=True, cwd=self.folder,
-                env={**os.environ, "PYTHONPATH": str(self.folder), "OMP_NUM_THREADS": "1"},
+                env={**os.environ, "PYTHONPATH": self._paths(), "OMP_NUM_THREADS": "1"},
             )  # fmt: skip
         with worker:
             assert worker.stdout is not None
@@ -119,6 +120,29 @@ class Code:
             self._keep(json.dumps({**todo[0]["key"], "failed": BEYOND}) + "\n")
         elif worker.returncode:
             raise SystemExit(f"{self.name}: the worker ended with {worker.returncode}")
+
+    def _paths(self) -> str:
+        """Return where this code, its own plug-ins and the libraries lie: no plug-in of another.
+
+        The environment's own packages of the project would be found as well, so the libraries are
+        linked into a folder without them.
+        """
+        entries, libraries = (self.file.parent / name for name in ("plug-ins", "libraries"))
+        entries /= self.name
+        libraries.mkdir(exist_ok=True)
+        for path in Path(sysconfig.get_path("purelib")).iterdir():
+            link = libraries / path.name
+            if not (path.name.startswith(("rotcal", "__editable__")) or link.is_symlink()):
+                link.symlink_to(path)
+        packages = [each.parent for each in self.folder.glob("packages/*/setup.py")]
+        if not entries.exists():
+            entries.mkdir(parents=True)
+            words = ["setup.py", "--quiet", "egg_info", "--egg-base", str(entries.resolve())]
+            core = self.folder if (self.folder / "setup.py").exists() else ROOT
+            for package in (core, *packages):
+                subprocess.run([sys.executable, *words], cwd=package, check=True)
+        paths = self.folder, *packages, entries, libraries
+        return os.pathsep.join(str(path.resolve()) for path in paths)
 
     def _keep(self, line: str) -> None:
         with self.lock, self.file.open("a", encoding="utf-8") as kept:

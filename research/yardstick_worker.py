@@ -22,24 +22,26 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from rotcal_ros.evaluation.power import PowerBench
+from rotcal_ros.evaluation import power as evaluation_power
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import parse_configuration, prepare, read_configuration
 
 Answer = dict[str, Any]
+PowerBench: Final = getattr(evaluation_power, "PowerBench", None) or evaluation_power.Bench
+"""Its name until 1.0."""
 DRAWN: Final = {"tracer_multistation": ("error motion",), "plane_mirror": ("tilt",)}
 """What a simulated measurement draws as it is stated, without being asked."""
 NOISE: Final = 2e-7
 """Of readings that are solved against the clock, m or rad."""
 LARGEST_BYTES: Final = 6 << 30
 LONGEST_S: Final = 120
-COMMAND: Final = (sys.executable, "-c", "from rotcal_ros.cli.start import main; main()")
+COMMAND: Final = (sys.executable, "-S", "-c", "from rotcal_ros.cli.start import main; main()")
 
 
 @lru_cache(maxsize=2)
-def bench(plan: str, runs: int) -> PowerBench:
+def bench(plan: str, runs: int) -> Any:
     """Return the bench of a plan's file."""
     return PowerBench(prepare(read_configuration(Path(plan))), runs)
 

@@ -19,9 +19,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
+from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.bordered import Groups, SparseDesign
-from rotcal_ros.adjust.kernels import Design, Kernel, LowRankUpdateKernel, dense
+from rotcal_ros.adjust.kernels import (
+    Design,
+    Kernel,
+    LowRankUpdateKernel,
+    ReweightedKernel,
+    dense,
+)
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -133,8 +140,31 @@ class CircleTurns:
 
     @cached_property
     def last(self) -> list[tuple[Floats, Kernel | None]]:
-        """With which weights (n,) of the rows the kernel was asked for last, and that kernel."""
+        """With which weights (n,) of the rows kernels were asked for last, and these kernels."""
         return []
+
+    @cached_property
+    def _parts(self) -> Ints:
+        """Numbers (t + C + s,) of the parts of turns, circles and others that share no unknown."""
+        felt = np.hstack([self.sign, self.tied])
+        graph = np.pad(felt, ((0, felt.shape[1]), (len(felt), 0)))
+        return np.asarray(connected_components(graph, directed=False)[1])
+
+    def factors(self, weight: Floats, before: Floats) -> Floats | None:
+        """Return one over how many times more each unknown (p,) counts than ``before`` (n,).
+
+        With the ``weight`` (n,) now; None where that is not the same of all rows of a part.
+        """
+        of_turn, of_unknown = np.split(self._parts, [len(self.sign)])
+        part, used = of_turn[self.turn], before > 0.0
+        ratio = np.ones(int(self._parts.max()) + 1)
+        ratio[part[used]] = weight[used] / before[used]
+        if (np.abs(weight - ratio[part] * before) > SAME * weight.max()).any():
+            return None
+        if not ratio.all():
+            return None
+        circles, others = np.split(1.0 / ratio[of_unknown], [self.circles])
+        return np.append(np.repeat(circles, self.size), others)
 
     @cached_property
     def _met(self) -> tuple[Ints, Ints]:
@@ -224,7 +254,7 @@ class CircularDesign(Design):
         p = self.few.shape[1]
         return np.asarray(self.few @ x[:p] + self.extra @ x[p:])
 
-    def adjoint(self, y: Floats) -> Floats:
+    def transpose_times(self, y: Floats) -> Floats:
         """Return the transposed design times ``y`` (n,) or (n, k)."""
         return np.concatenate([self.few.T @ y, self.extra.T @ y])
 
@@ -242,7 +272,7 @@ class CircularDesign(Design):
         """Return some rows (r, p + q) as a whole."""
         return np.concatenate([self.few[which].toarray(), self.extra[which]], axis=1)
 
-    def some_times(self, which: Ints, x: Floats) -> Floats:
+    def rows_times(self, which: Ints, x: Floats) -> Floats:
         """Return some rows times ``x`` (p + q, k)."""
         p = self.few.shape[1]
         return np.asarray(self.few[which] @ x[:p] + self.extra[which] @ x[p:])
@@ -251,16 +281,21 @@ class CircularDesign(Design):
         """Return the kernel order by order, or by groups; None where it is not firm.
 
         Order by order where so few rows are missing that they are of low rank. The last one is
-        kept: the same weights come again and again.
+        kept: the same weights come again and again, or parts of them with another noise.
         """
         if self.extra.shape[1]:
             return self._kernel()
-        for weight, kept in self.turns.last:
+        last = self.turns.last
+        for weight, kept in last:
             if np.array_equal(weight, self.weight):
                 return kept
-        found = self._kernel()
-        self.turns.last[:] = [(self.weight, found)]
-        return found
+        if last and last[0][1] is not None:
+            factor = self.turns.factors(self.weight, last[0][0])
+            if factor is not None:
+                last[1:] = [(self.weight, ReweightedKernel(self, last[0][1], factor))]
+                return last[1][1]
+        last[:] = [(self.weight, self._kernel())]
+        return last[0][1]
 
     def _kernel(self) -> Kernel | None:
         share, usual, odd = self.turns.shares(self.weight)
@@ -275,7 +310,7 @@ class CircularDesign(Design):
         return LowRankUpdateKernel.of(orders, plain, self.weight, changed, self.extra)
 
     @property
-    def rough_first(self) -> bool:  # type: ignore[override]
+    def prefers_normal_equations(self) -> bool:  # type: ignore[override]
         """Whether so many rows weigh otherwise than most that iteration is quicker."""
         odd = int(self.turns.shares(self.weight)[2].sum())
         return odd > FEW and not self.extra.shape[1]
@@ -316,7 +351,7 @@ class CircularDesign(Design):
         every = outputs.parts(self.shape[1])
         return np.concatenate([self._eliminated.squares(rows) for _, rows in every])
 
-    def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
+    def is_nearly_as_precise(self, other: Design, outputs: Outputs, factor: float) -> bool:
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
         if not self.large and self._eliminated is not None:
             return False
@@ -330,7 +365,7 @@ class CircularDesign(Design):
         least = mine.extremes[0] * others.orders.variances_of(outputs)
         return bool((bound <= (SURELY * factor) ** 2 * least).all())
 
-    def without_idle(self) -> CircularDesign:
+    def without_unused_columns(self) -> CircularDesign:
         """Return it without further unknowns that no row feels: they are none of the others."""
         return replace(self, extra=self.extra[:, self.extra.any(axis=0)])
 
@@ -453,7 +488,9 @@ class OrderwiseKernel(Kernel):
                 found += inside[first, a] * inside[second, b] * between
         return np.asarray(found)
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k). Rows at one place of
@@ -463,20 +500,20 @@ class OrderwiseKernel(Kernel):
         turns, (column, value), many = self.turns, outputs.entries, outputs.each
         size, place = turns.size, turns.place[first]
         if (place != turns.place[second]).any():
-            return super().products_of(outputs, first, second, weight)
+            return super().output_products(outputs, first, second, weight)
         beyond = ((column >= turns.circles * size) & (value != 0.0)).any(axis=1)
         if beyond.any():  # these read what is no place
             found = np.empty((len(outputs), len(weight)))
             some, rest = (outputs.part(np.flatnonzero(which)) for which in (beyond, ~beyond))
-            found[beyond] = super().products_of(some, first, second, weight)
-            found[~beyond] = self.products_of(rest, first, second, weight)
+            found[beyond] = super().output_products(some, first, second, weight)
+            found[~beyond] = self.output_products(rest, first, second, weight)
             return found
         circle, at = np.divmod(np.where(value != 0.0, column, column[:, :1]), size)
         a, b = (each.ravel() for each in np.indices((many, many)))
         both = np.stack([circle[:, a], circle[:, b], (at[:, b] - at[:, a]) % size], axis=-1)
         kinds, kind = np.unique(both.reshape(-1, 3), axis=0, return_inverse=True)
         if len(kinds) > MOST_KINDS:
-            return super().products_of(outputs, first, second, weight)
+            return super().output_products(outputs, first, second, weight)
         kind, by = kind.reshape(at[:, a].shape), value[:, a] * value[:, b]
         met, pair = np.unique([turns.turn[first], turns.turn[second]], axis=1, return_inverse=True)
         cell = pair.ravel() * size + place
@@ -523,7 +560,7 @@ class OrderwiseKernel(Kernel):
         if len(np.unique(turn)) == 1 and (run := outputs.run(circles * size, size)):
             read = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
             found = sliding_window_view(read, len(outputs))[(run[1] - place) % size]
-            return self._beside_common(found, outputs, turn, place)
+            return self._beside_common(found * value[0], outputs, turn, place)
         found = np.empty((len(rows), len(outputs)))
         for number, begin in enumerate(range(0, circles * size, size)):
             mine = np.flatnonzero((column >= begin) & (column < begin + size))
@@ -560,7 +597,7 @@ class OrderwiseKernel(Kernel):
         found += carried @ outputs.share.T
         return np.asarray(found.T)
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         turn, place = self.turns.turn[rows], self.turns.place[rows].astype(np.int32)
         step = (place[:, None] - place) % np.int32(self.turns.size)
@@ -568,7 +605,7 @@ class OrderwiseKernel(Kernel):
             return np.asarray(self.between[turn[0], turn[0]][step])
         return np.asarray(self.between[turn[:, None], turn, step])
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         turn, place = self.turns.turn[rows], self.turns.place[rows]
         apart = (place - place[:, :1]) % self.turns.size
@@ -599,7 +636,7 @@ class OrderwiseKernel(Kernel):
         twice = orders.sum(axis=0) * 2.0 - orders[0]
         return np.asarray((twice if turns.size % 2 else twice - orders[-1]) / turns.size)
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
         turns = self.turns
         cell, whole = turns.turn * turns.size + turns.place, len(turns.sign) * turns.size
@@ -685,7 +722,7 @@ class EliminatedNormals:
 
     def solved(self, design: CircularDesign, read: Floats) -> Floats:
         """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened."""
-        asked, count = design.adjoint(read), len(self.own)
+        asked, count = design.transpose_times(read), len(self.own)
         left = asked[count:] - self.shared.T @ asked[:count]
         others = lapack.dpotrs(self.root, left, lower=1)[0]
         return np.append(asked[:count] / self.own - self.shared @ others, others)
@@ -730,7 +767,7 @@ class ConjugateGradients:
 
         None where the iteration does not converge.
         """
-        left = design.adjoint(read)
+        left = design.transpose_times(read)
         rounded = float(np.linalg.norm(design.lengths) * np.abs(read).max())
         enough = CONVERGED * max(float(np.linalg.norm(left)), rounded)
         found, way, before = np.zeros(len(left)), np.zeros(len(left)), 1.0

@@ -90,15 +90,17 @@ class SolutionView:
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""
         limits = self.before.limits
-        if len(self._oddest) and self._stands_out(self._oddest[0]) and not self._with_others:
-            yield self.singles[0]
+        if len(self._oddest):
+            value, limit = self._test(self._oddest[0])
+            if value > limit and not self._with_others:
+                yield self.singles[0]
         yield from self.significant_effects()
         judgement = self.diagnosis.gathering.judgement
         # proof takes the noise for known; of few residuals its chance is drawn
         if (
             judgement is not None
             and judgement.proved(limits.significance)
-            and judgement.chance < limits.significance
+            and judgement.false_alarm_probability < limits.significance
         ):
             yield from self.groups[:1]
 
@@ -109,7 +111,7 @@ class SolutionView:
         That one may be sound. Where it is not proved which ones are off, all stay in, and the
         covariance holds what they may do.
         """
-        if self.diagnosis.gathering.chance >= SUSPECTED:
+        if self.diagnosis.gathering.false_alarm_probability >= SUSPECTED:
             return False
         oddest, single = self._oddest[0], self.singles[0]
         return any(
@@ -155,10 +157,6 @@ class SolutionView:
         limit = rank * float(f_isf(limits.of_each_observation(model), max(rank, 1.0), left))
         return float(np.sqrt(squares / others)), float(np.sqrt(limit))
 
-    def _stands_out(self, element: int) -> bool:
-        value, limit = self._test(element)
-        return value > limit
-
     def _support(self, squares: float, rank: int, alternatives: float) -> tuple[float, float]:
         """Return ln of how probable an explanation is, by BIC, among so many of its kind.
 
@@ -192,7 +190,7 @@ class SolutionView:
         rows = model.rows_of(np.array([element]))
         residual, (value, limit) = fit.residual[rows], self._test(element)
         squares, rank = (float(each[element]) for each in fit.element_test)
-        cofactor = np.eye(len(rows)) - fit.kernel.among(rows)
+        cofactor = np.eye(len(rows)) - fit.kernel.hat_block(rows)
         missed = np.linalg.lstsq(cofactor, fit.white[rows], rcond=CHECKED)[0]
         off, left = (float(np.linalg.norm(each)) for each in (missed * fit.std[rows], residual))
         sign = float(np.sign(residual[0])) if len(rows) == 1 else 1.0
@@ -398,7 +396,7 @@ class SolutionView:
             for some in np.array_split(every, -(-len(every) * size**2 // MOST_NUMBERS)):
                 members = [asked[k].members for k in some]
                 rows = [table[m, : size // len(m)].ravel() for m in members]
-                among, kind = self.fit.kernel.among_each(np.stack(rows))
+                among, kind = self.fit.kernel.hat_blocks(np.stack(rows))
                 gathered = _gathered_of([asked[k] for k in some])
                 groups = [
                     self._group(asked[k], *of)
@@ -435,20 +433,20 @@ class SolutionView:
             alike = sizes == size
             judged[:, alike] = self._judged(rows[alike[of_row]].reshape(-1, size))
         names = grouping.names_of(number.tolist())
-        each = zip(names, sizes, whole, kept, few, judged.T, strict=True)
-        for k, (name, size, count, left, asked, (squares, rank, share)) in enumerate(each):
-            known = grouping.kind, name
+        columns = (each.tolist() for each in (sizes, whole - kept, kept, few, judged.T))
+        for k, (name, size, lost, left, asked, found) in enumerate(
+            zip(names, *columns, strict=True)
+        ):
             if asked:
-                yield JudgedGroup(
-                    *known, int(left), (float(squares), int(rank)), (float(share), int(size)),
-                    int(count - left),
-                )  # fmt: skip
+                squares, rank, share = found
+                checks = share, size
+                yield JudgedGroup(grouping.kind, name, left, (squares, int(rank)), checks, lost)
             elif size:
-                yield _as_a_whole(fit, *known, rows[of_row == k], int(count - left))
+                yield _as_a_whole(fit, grouping.kind, name, rows[of_row == k], lost)
 
     def _judged(self, rows: Ints) -> Floats:
         """Return T, its degrees of freedom and the share that others check of groups (g, e)."""
-        among, kind = self.fit.kernel.among_each(rows)
+        among, kind = self.fit.kernel.hat_blocks(rows)
         values, vectors = np.linalg.eigh(np.eye(rows.shape[1]) - among)
         values, seen = values[kind], values[kind] > CHECKED
         turn = vectors[kind] if len(vectors) > 1 else vectors  # as of a circle

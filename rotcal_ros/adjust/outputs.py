@@ -128,7 +128,8 @@ class Outputs:
         """Return C (I - F G) of a ``fixing`` F (p, g) and ``rows`` G (g, p)."""
         share = -self.times(fixing)
         share[np.abs(share) < ROUNDED * np.abs(share).max(initial=0.0)] = 0.0
-        common = np.concatenate([np.pad(self.common, _more(self.common, rows)), rows])
+        more = (0, 0), (0, rows.shape[1] - self.common.shape[1])
+        common = np.concatenate([np.pad(self.common, more), rows])
         few = self.few.tocsr(copy=False)
         few = csr_array((few.data, few.indices, few.indptr), shape=(len(self), rows.shape[1]))
         return Outputs(few, common, np.hstack([self.share, share]))
@@ -190,17 +191,13 @@ class Outputs:
         return np.asarray((self.common != 0.0).any(axis=0) | (abs(self.few).sum(axis=0) > 0.0))
 
     def run(self, count: int, size: int) -> tuple[int, int] | None:
-        """Return circle and first place where all read one place after the other; else None.
+        """Return circle and first place where all read one place after the next alike; else None.
 
         Of the first ``count`` unknowns, circles of ``size`` places each.
         """
-        if self.each != 1 or not len(self) or (self.few.data != 1.0).any():
+        if self.each != 1 or not len(self) or np.ptp(self.few.data):
             return None
         circle, place = np.divmod(self.few.indices, size)
         here = (place[0] + np.arange(len(place))) % size
         follow = (circle == circle[0]).all() and (place == here).all() and len(self) == len(circle)
         return (int(circle[0]), int(place[0])) if follow and circle[0] * size < count else None
-
-
-def _more(rows: Floats, wider: Floats) -> tuple[tuple[int, int], tuple[int, int]]:
-    return (0, 0), (0, wider.shape[1] - rows.shape[1])

@@ -89,7 +89,10 @@ def _in_order(rows: list[Rows], what: str, finite: int = 0) -> Rows:
     columns = tuple(np.concatenate(each) for each in zip(*rows, strict=True))
     count = len(columns[0]) if columns else 0
     if count < 2:
-        raise DataError(f"{what}: {count} messages; which topic is it? State the group topics")
+        raise DataError(
+            f"{what}: {count} messages with stamps that grow; which topic is it? State the group "
+            "topics; where stamps are not set, that the time of sending counts (table_clock: sent)"
+        )
     before = np.maximum.accumulate(columns[0])
     good = np.append(True, columns[0][1:] > before[:-1])
     if np.count_nonzero(~good) > _MOST_BACK * count:

@@ -128,11 +128,11 @@ class Rule(Protocol):
 class Controller(ABC):
     """One kind of controller; a subclass declares its settings, all of them with a default.
 
-    ``position_resolution`` (rad) is the step of the positions in a file, ``staircase`` says that
-    the control does not interpolate between them. ``suffixes`` are the endings of the names of its
-    files; without them files that were copied by hand are not recognised before the first change.
-    ``own_settings`` are what else the control does with the axis; ``comment`` is None if the files
-    have no comments.
+    ``position_resolution`` and ``value_resolution`` (rad) are the steps of the positions and of
+    the values in a file, ``staircase`` says that the control does not interpolate between them.
+    ``suffixes`` are the endings of the names of its files; without them files that were copied by
+    hand are not recognised before the first change. ``own_settings`` are what else the control
+    does with the axis; ``comment`` is None if the files have no comments.
     """
 
     facts: ClassVar[Facts]
@@ -140,6 +140,7 @@ class Controller(ABC):
     comment: ClassVar[Comment | None] = None
     suffixes: ClassVar[tuple[str, ...]] = ()
     position_resolution: ClassVar[float] = 0.0
+    value_resolution: ClassVar[float] = 0.0
     staircase: ClassVar[bool] = False
 
     @abstractmethod
@@ -154,9 +155,10 @@ class Controller(ABC):
     def read(self, files: Mapping[str, str]) -> Rule:
         """Return what the control makes of ``files``; BagError if they are damaged."""
 
-    @abstractmethod
     def resolution(self, table: CompensationTable) -> float:
         """Return the step (rad) of the values in the files of ``table``."""
+        del table
+        return self.value_resolution
 
     def commented(self, files: Mapping[str, str], lines: Iterable[str]) -> dict[str, str]:
         """Return ``files`` with ``lines`` as comments, if their form has comments.

@@ -70,6 +70,7 @@ class PlainCsv(Controller):
         verified_on="this project",
     )
     position_resolution = 10.0**-ANGLE_DECIMALS * DEGREE
+    value_resolution = 10.0**-DECIMALS * ARCSEC
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table, closed with a row at 360 deg when it is a full circle."""
@@ -121,7 +122,3 @@ class PlainCsv(Controller):
             for row in rows[:, : head.count(",") + 1]
         ]
         return "\n".join([head, *lines]) + "\n"
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return 10.0**-DECIMALS * ARCSEC

@@ -135,9 +135,12 @@ class PowerBench:
         return Trial(result.verdict != "ok", np.concatenate(list(error.values())))
 
     def listed(self) -> tuple[Disturbance, ...]:
-        """Return the disturbances that the method lists; empty if it lists none."""
+        """Return the disturbances that the method lists for the plan; empty if it lists none."""
         disturbances = self.calibration.method.disturbances
-        return () if disturbances is None else disturbances.listed
+        if disturbances is None:
+            return ()
+        turns = any(step.turn is not None for step in self.calibration.plan.steps)
+        return tuple(each for each in disturbances.listed if turns or not each.of_turns)
 
     def row(self, disturbance: Disturbance) -> PowerRow:
         """Return what a disturbance does before the verdict changes."""

@@ -120,8 +120,13 @@ class Verification:
             for when, (words, _) in lines.items()
             if not words.startswith("ok")
         )
-        uncovered = dict.fromkeys(missing for _, missing in lines.values() if missing)
-        return *doubted, *uncovered, *self.notes
+        uncovered = {when: missing for when, (_, missing) in lines.items() if missing}
+        alike = len({missing for _, missing in lines.values()}) == 1
+        notes = dict.fromkeys(
+            missing if alike else phrase("measurement {0}: {1}", phrase(when), missing)
+            for when, missing in uncovered.items()
+        )
+        return *doubted, *notes, *self.notes
 
     @property
     def verdict(self) -> Verdict:

@@ -31,6 +31,7 @@ PACKAGES: Final = "rotcal_ros.translations"
 """Entry points of packages that have a folder ``translations``: any name -> the package."""
 DEPTH: Final = 8
 """Phrases in arguments of phrases: this far down they are read from a file."""
+_PLAIN: Final = (str, int, float)
 _PLACE: Final = re.compile(r"\{(\d+)([^{}]*)\}")
 _CODE: Final = re.compile(
     r"(?:[^{}]|\{\{|\}\}|\{\d{1,2}(?:!r)?(?::[+]?(?:\.\d{1,2})?[a-z%]?)?\})*"
@@ -108,10 +109,10 @@ def phrase(template: str, *parts: object) -> Phrase:
 
 def _kept(part: object) -> str | int | float:
     """Return a part of a phrase as JSON can hold it: numbers of numpy as plain ones."""
-    if isinstance(part, str | int | float) and type(part).__module__ != "numpy":
+    if isinstance(part, _PLAIN) and type(part).__module__ != "numpy":
         return part
     plain = part.item() if hasattr(part, "item") else part
-    return plain if isinstance(plain, str | int | float) else str(plain)
+    return plain if isinstance(plain, _PLAIN) else str(plain)
 
 
 def join_texts(texts: Sequence[str], separator: str = "; ") -> Phrase:
@@ -233,7 +234,7 @@ class Language:
             return text
         return self(text.template, *text.parts) if text.parts else self._known(text.template)
 
-    def knows(self, text: Phrase) -> bool:
+    def has_translation(self, text: Phrase) -> bool:
         """Return whether a phrase is of this language: words of its own are in the catalogue."""
         template = text.template
         return self.texts is None or bool(text.parts) or self._known(template) != template

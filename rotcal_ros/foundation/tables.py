@@ -136,10 +136,11 @@ def is_table(path: Path) -> bool:
         return False
     with untrusted.open_plain(path) as file:
         begin = file.read(_LOOK)
-    if begin.startswith((*untrusted.WORKBOOKS, b"\xff\xfe", b"\xfe\xff")):  # the last two: UTF-16
+    utf16 = begin.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in begin
+    if utf16 or begin.startswith(untrusted.WORKBOOKS):
         return ending in _TEXTS
     text = begin.decode("utf-8-sig", errors="replace")
-    return "\0" not in text and _SEPARATED.search(text) is not None
+    return _SEPARATED.search(text) is not None
 
 
 def is_workbook(path: Path) -> bool:

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.untrusted import load_json
-from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.plan import Plan
 
 
 @dataclass(frozen=True)
@@ -126,15 +126,12 @@ def _whole_turns(plan: Plan, missing: Sequence[int]) -> set[int]:
     found = set[int]()
     for index in missing:
         step, begin = plan.steps[index], index
-        while begin and _of_one_target(plan.steps[begin - 1], step):
+        place = step.station, step.target
+        while begin and (plan.steps[begin - 1].station, plan.steps[begin - 1].target) == place:
             begin -= 1
         if step.turn is not None and plan.steps[begin].turn is None:
             found.update(range(begin, index))
     return found
-
-
-def _of_one_target(before: Step, step: Step) -> bool:
-    return (before.station, before.target) == (step.station, step.target)
 
 
 def _joining(plan: Plan, accepted: set[int], missing: Sequence[int]) -> Sequence[int]:

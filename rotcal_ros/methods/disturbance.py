@@ -37,7 +37,7 @@ class Disturbance:
     A size in SI is ``unit_si`` times one in ``unit``. Sizes from ``start`` on, to ``largest``, are
     worth a search, both in ``unit``. An effect that ``scatters`` is random and hits all angles
     alike; else it has one pattern. ``stated`` returns how much of it (SI) a configuration allows
-    for, None where nothing is stated.
+    for, None where nothing is stated. One that is ``of_turns`` needs a table that turns.
     """
 
     effect: Effect
@@ -48,6 +48,7 @@ class Disturbance:
     largest: float
     scatters: bool = False
     stated: Stated = None
+    of_turns: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,9 +67,9 @@ def setup_of_its_own(path: Path, changes: Sequence[str]) -> Configuration:
             f"{path} is a table, and a table needs its set-up: give --setup SETUP.yaml (rotcal "
             "new writes one)"
         )
-    ways = "; ".join(_ways(path, found))
+    ways = "; or ".join(sorted(_ways(path, found), reverse=True))  # the same command comes first
     raise ConfigurationError(
-        f"{path} is a table, and a table needs its set-up: by its columns it may be for {ways}"
+        f"{path} is a table without a set-up, and its columns fit several methods: {ways}"
     )
 
 
@@ -77,9 +77,9 @@ def _ways(path: Path, methods: Sequence[Method]) -> Iterator[str]:
     table = shlex.quote(str(path))
     for method in methods:
         if method.table and not method.table.needs_setup:
-            yield f"{method.title}: the same command with --set {NAMED}{method.name}"
+            yield f"the same command with --set {NAMED}{method.name} ({method.title})"
             continue
         yield (
-            f"{method.title}: `rotcal new --method {method.name} -o {method.name}.yaml && rotcal "
-            f"solve {table} --setup {method.name}.yaml`"
+            f"rotcal new --method {method.name} -o {method.name}.yaml && rotcal "
+            f"solve {table} --setup {method.name}.yaml ({method.title})"
         )

@@ -281,6 +281,11 @@ class StreamFeeder:
             raise BagError(unstamped)
         for columns in part.decoder.columns(block.select(part.rows), form.fields, ()):
             rows = part.rows[columns.rows]
+            if lists := [name for name in numbers if columns.values[name].ndim > 1]:
+                raise BagError(
+                    f"topic {channel.topic}: {lists[0]} is a list of numbers: say which of them "
+                    f"in the group topics, as {lists[0]}.0 for the first"
+                )
             values = np.column_stack([columns.values[name] for name in numbers])
             stamps = columns.stamp_ns() if form.stamped else self._sent_ns(block, rows)
             found.append((rows, stamps, values.astype(np.float64)))
@@ -296,7 +301,7 @@ class StreamFeeder:
         rows = rows[np.argsort(rows["row"], kind="stable")]
         conventions = self._instruments.conventions
         sent = self._sent_ns(block, rows["row"])
-        rows["stamp_ns"] = conventions.taken_ns(part.role, rows["stamp_ns"], sent)
+        rows["stamp_ns"] = conventions.measured_at_ns(part.role, rows["stamp_ns"], sent)
         for name, convert in (
             ("length", conventions.length),
             ("angle", conventions.angle),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.bordered import BorderedKernel, SparseDesign
 from rotcal_ros.adjust.circles import CircularDesign
@@ -13,6 +13,7 @@ from rotcal_ros.adjust.kernels import (
     DenseDesign,
     DenseKernel,
     LowRankUpdateKernel,
+    ReweightedKernel,
 )
 from rotcal_ros.adjust.outputs import Outputs
 
@@ -47,7 +48,7 @@ def agrees(kernel, expected, random):
     assert expected.design @ kernel.directions == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.matrix_rank(kernel.directions, tol=1e-9) == p - expected.rank
     assert alike(kernel.leverage, np.diagonal(expected.hat))
-    assert alike(kernel.among(some), expected.hat[np.ix_(some, some)])
+    assert alike(kernel.hat_block(some), expected.hat[np.ix_(some, some)])
     assert alike(kernel.projected(white), expected.hat @ white)
     assert alike(told @ kernel.solve(white), carried @ white)
     assert alike(told @ kernel.solve(white[:, 0]), carried @ white[:, 0])
@@ -61,8 +62,8 @@ def agrees(kernel, expected, random):
     assert alike(kernel.covariance_of(outputs), carried @ carried.T)
     pairs = random.integers(n, size=(2, n))
     products = carried[:, pairs[0]] * carried[:, pairs[1]] @ share.T
-    assert alike(kernel.products_of(outputs, *pairs, share), products)
-    assert alike(kernel.squares_between(share), share @ expected.hat**2 @ share.T)
+    assert alike(kernel.output_products(outputs, *pairs, share), products)
+    assert alike(kernel.hat_square_sums(share), share @ expected.hat**2 @ share.T)
     assert alike(kernel.response(outputs, some), carried[:, some])
     assert alike(kernel.sensitivity(outputs, some).dense(), carried[:, some])
     if expected.rank == p > 2:  # each unknown by itself
@@ -153,6 +154,36 @@ def test_circles_with_readings_left_out_and_effects(size, left_out, effects, see
     agrees(kernel, expected, random)
 
 
+@given(
+    st.integers(5, 12), st.integers(0, 3), st.sampled_from([1e-3, 0.4, 7.0]), st.integers(0, 2**32)
+)
+def test_circles_that_share_no_unknown_take_each_its_own_noise(size, left_out, ratio, seed):
+    random = np.random.default_rng(seed)
+    each, n = circular(random, size, (0, 1, 3)).few, 3 * size
+    column = np.arange(2 * size + 3)
+    place = np.where(column < 2 * size, column, column + 2 * size)  # zeros of settings come last
+    shift = np.where(column < 2 * size, 2 * size, 3)
+    parts = [
+        csr_array((each.data, where[each.indices], each.indptr), shape=(n, 4 * size + 6))
+        for where in (place, place + shift)
+    ]
+    design = CircularDesign.of(csr_array(vstack(parts, format="csr")), 4, size)
+    used = np.ones(2 * n)
+    used[random.choice(2 * n, left_out, replace=False)] = 0.0
+    before = design.weighted(used).kernel()
+    assume(before is not None)
+    factors = np.repeat([1.0, ratio], n)
+    white = design.weighted(used * factors)
+    expected = Reference(white.dense())
+    assume(expected.firm)
+    kernel = white.kernel()
+    assert isinstance(kernel, ReweightedKernel)
+    assert kernel.base is before
+    agrees(kernel, expected, random)
+    uneven = np.where(np.arange(2 * n) % 2, factors, 1.3 * factors)
+    assert not isinstance(design.weighted(used * uneven).kernel(), ReweightedKernel)
+
+
 @given(bordered(), st.integers(0, 4), st.integers(0, 2), st.booleans())
 def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, whole):
     design, random = drawn
@@ -165,7 +196,9 @@ def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, w
     rest = design.weighted(share)
     expected = Reference(np.hstack([rest.dense(), extra]))
     assume(expected.firm)
-    assume(np.abs(np.linalg.eigvalsh(np.eye(left_out) - base.among(out))).min(initial=1.0) > 1e-4)
+    assume(
+        np.abs(np.linalg.eigvalsh(np.eye(left_out) - base.hat_block(out))).min(initial=1.0) > 1e-4
+    )
     kernel = LowRankUpdateKernel.of(
         base, rest, share, (design.rows(out), -np.ones(left_out)), extra
     )
@@ -191,7 +224,7 @@ def test_what_many_rows_show_together(form, each):
             random.standard_normal((302, 1)),
         ),
     }[form]()  # fmt: skip
-    values, vectors = np.linalg.eigh(np.eye(len(rows)) - kernel.among(rows))
+    values, vectors = np.linalg.eigh(np.eye(len(rows)) - kernel.hat_block(rows))
     seen = values > 1e-6
     assert len(rows) - seen.sum() == 39 * (each == 5)  # one combination of them is known
     white = (vectors * values) @ random.standard_normal(len(rows))
@@ -221,5 +254,5 @@ def test_sums_over_places_of_circles_by_their_orders(size, left_out, seed):
     second = np.where(first < size, first + size, first)
     share = random.random((2, 2 * size))
     products = carried[:, first] * carried[:, second] @ share.T
-    assert alike(kernel.products_of(outputs, first, second, share), products)
+    assert alike(kernel.output_products(outputs, first, second, share), products)
     assert alike(kernel.covariance_of(outputs), carried @ carried.T)

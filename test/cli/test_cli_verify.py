@@ -64,6 +64,15 @@ def test_what_the_measurements_do_not_cover_is_told_beside_the_verdict():
     assert all(f"<p>{line}</p>" in section for line in reserves)
 
 
+def test_what_only_one_measurement_does_not_cover_is_told_of_that_one():
+    lines = {"before": "ok. Not tested for: knock, tilt", "after": "ok. Not tested for: tilt"}
+    verification = Verification(run(30.0), run(0.3), 0.0, verdict_lines=lines)
+    assert verification.reserves == (
+        "measurement before: Not tested for: knock, tilt",
+        "measurement after: Not tested for: tilt",
+    )
+
+
 def test_an_existing_folder_is_not_overwritten(tmp_path):
     pytest.importorskip("rclpy")
     (tmp_path / "bag").mkdir()

@@ -1,7 +1,9 @@
 """The yardstick sees what is worse, and goes on where it was interrupted."""
 
+import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -61,6 +63,17 @@ def test_a_worse_code_is_seen_as_worse_and_the_same_code_is_not(tmp_path):
     assert "**missed**" in next(line for line in found.stdout.splitlines() if "| ECC |" in line)
     same = compare(tmp_path, 3, "--new", str(ROOT))
     assert same.returncode == 0, same.stdout
+
+
+def test_the_page_has_whole_tables_and_leads_to_each():
+    page = (ROOT / "docs" / "yardstick.md").read_text("utf-8")
+    linked = re.findall(r"^\[.*\]\(\.\./research/yardstick/(\w+\.csv)\)$", page, re.MULTILINE)
+    files = sorted((RESEARCH / "yardstick").glob("*.csv"))
+    assert sorted(linked) == [file.name for file in files]
+    for file in files:
+        head, *rows = csv.reader(file.read_text("utf-8").splitlines())
+        assert head[0] in ("plan", "recording", "paper")
+        assert {len(row) for row in rows} == {len(head)}
 
 
 @pytest.fixture

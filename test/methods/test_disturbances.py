@@ -7,18 +7,30 @@ import numpy as np
 import pytest
 from chances import LONG, most
 
+from rotcal_ros.evaluation.power import PowerBench
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods import prepare, read_configuration
+from rotcal_ros.methods import changed, prepare, read_configuration
 
 PLANS = Path(__file__).parents[2] / "research" / "power_plans"
 METHODS = ("tracer", "ball_plate", "plane_mirror", "tracer_six")
 each_method = pytest.mark.parametrize("name", METHODS)
 
 
+TURNING = "tracer_turning"
+"""The plan of the tracer for a table that turns: 24 angles in both directions."""
+
+
 def calibration(name):
-    return prepare(read_configuration(PLANS / f"{name}.yaml"))
+    if name != TURNING:
+        return prepare(read_configuration(PLANS / f"{name}.yaml"))
+    turns = (
+        "plan.turning_deg_s=[12.0, -12.0]",
+        "plan.table_step_deg=15.0",
+        "plan.table_positions=24",
+    )
+    return prepare(changed(read_configuration(PLANS / "tracer.yaml"), turns))
 
 
 def calm(name):
@@ -38,10 +50,10 @@ def change(prepared, effect, size, seed=3):
     return values[1] - values[0], values[0]
 
 
-@each_method
+@pytest.mark.parametrize("name", [*METHODS, TURNING])
 def test_every_effect_is_there_once_and_none_of_it_is_nothing(name):
     prepared = calibration(name)
-    listed = prepared.method.disturbances.listed
+    listed = PowerBench(prepared, 1).listed()
     assert sorted(d.effect for d in listed if d.effect not in PARTICULAR) == sorted(EFFECTS)
     for d in listed:
         nothing = 1.0 if d.effect == "axis noise" else 0.0
@@ -86,6 +98,27 @@ def test_a_tracer_is_knocked_half_way_and_the_machine_drifts_from_nothing():
     beam = np.array(step.position) - np.array([*(turn @ mount[:2]), mount[2]])
     expected = 1e-6 * beam.sum() / np.sqrt(3.0) / np.linalg.norm(beam)
     assert drifted[-1, 0] == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_zero_jumps_in_one_turn_and_a_late_feedback_turns_each_speed_alike():
+    prepared = calibration(TURNING)
+    slipped, _ = change(prepared, "slip", 1e-6)
+    jumped = np.flatnonzero(slipped[:, 0])
+    assert np.ptp(jumped) == len(jumped) - 1 < 24
+    np.testing.assert_allclose(slipped[jumped], 1e-6, atol=1e-15)
+    assert prepared.plan.passed_from(int(jumped[0])).stop == jumped[-1] + 1
+    late, _ = change(prepared, "lag", 1e-3)
+    mount = np.array(prepared.configuration.simulation.tracer.mount_m)
+    at_rest = [step.turn is None for step in prepared.plan.steps]
+    assert not np.any(late[at_rest])
+    for step, by in zip(prepared.plan.steps, late[:, 0], strict=True):
+        speed = 0.0 if step.turn is None else step.turn.speed
+        lengths = []
+        for angle in (step.table_angle, step.table_angle + 1e-3 * speed):
+            c, s = np.cos(angle), np.sin(angle)
+            at = [c * mount[0] - s * mount[1], s * mount[0] + c * mount[1], mount[2]]
+            lengths.append(np.linalg.norm(np.array(step.position) - at))
+        assert by == pytest.approx(lengths[1] - lengths[0], abs=2e-9)  # the target's own error
 
 
 def test_a_tracer_shifted_along_its_circle_reads_as_a_table_that_turns_further():

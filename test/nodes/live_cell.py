@@ -81,13 +81,16 @@ class LiveCell:
                 own += ["-r", f"__node:={name}"]
             self.processes.start(name or node, [*self._python(node), *own])
 
-    def client(self, name="client", *, configuration="", start_index=0):
-        """Start a client; configuration None: the planner shall take its own parameters."""
+    def client(self, name="client", *, configuration="", start_index=0, person=False):
+        """Start a client; configuration None: the planner shall take its own parameters.
+
+        A ``person`` resumes whenever it is asked.
+        """
         own = ["-p", f"start_index:={start_index}"]
         if configuration is not None:
             own += ["-p", f"configuration_file:={json.dumps(str(configuration or self.file))}"]
         self.processes.start(name, [*self._python("client"), *own], piped=True)
-        return Client(self.processes, name)
+        return Client(self.processes, name, person)
 
     def calibrate(self):
         """Run a whole calibration and return its outcome."""
@@ -97,11 +100,8 @@ class LiveCell:
     def calibrate_with_a_person(self):
         """Run a calibration, resume whenever it asks; return how it ended, and what it asked."""
         self.start(*SUITE, "simulated_cell")
-        client, asked = self.client(), []
-        while (event := client.wait_for("paused", "result"))["event"] == "paused":
-            asked.append(event["instruction"])
-            self.processes.tell("client", "resume")
-        return event, asked
+        client = self.client(person=True)
+        return client.result(), client.asked
 
     def repeated(self):
         """Return the recording, which gives the result again to the last bit, and the result."""
@@ -137,10 +137,11 @@ class LiveCell:
 
 
 class Client:
-    """The lines of one client."""
+    """The lines of one client, and what the ``person`` beside it was ``asked``."""
 
-    def __init__(self, processes, name):
-        self._processes, self._name = processes, name
+    def __init__(self, processes, name, person):
+        self._processes, self._name, self._person = processes, name, person
+        self.asked = []
         self._events = SimpleQueue()
         Thread(target=self._read, daemon=True).start()
 
@@ -155,6 +156,9 @@ class Client:
                 continue
             if event["event"] in kinds and where(event):
                 return event
+            if event["event"] == "paused" and self._person:
+                self.asked.append(event["instruction"])
+                self._processes.tell(self._name, "resume")
             if event["event"] == "result":
                 outcome = event["error_msg"]
             assert event["event"] != "end", (

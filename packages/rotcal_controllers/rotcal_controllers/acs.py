@@ -53,6 +53,8 @@ class Acs(EveryTurnController):
         verified_on="programs that use the command; no page",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    value_resolution = 10.0**-DECIMALS * DEGREE
+    switch_on = "home the axis, then run the buffer (ERRORMAPON is in it)"
     one_direction = True
     unverified = (
         "the sign: a public program of a builder of stages fills the map with target minus "
@@ -82,11 +84,6 @@ class Acs(EveryTurnController):
 
     axis_number: int = setting(0, doc="number of the axis, from 0 on", minimum=0)
     zone: int = setting(0, doc="zone of the error map", minimum=0)
-
-    @property
-    def switch_on(self) -> str:
-        """The buffer, once the axis is homed."""
-        return "home the axis, then run the buffer (ERRORMAPON is in it)"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the program; ConfigurationError for an arc or uneven rows."""
@@ -125,7 +122,3 @@ class Acs(EveryTurnController):
         values = np.array([parse_number(row[1], name) for row in rows], dtype=np.float64)
         even = (parse_number(match[6], f"{name}, base"), parse_number(match[7], f"{name}, step"))
         return UnrolledTable.evenly(name, even, (values, values), self.travel, DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return 10.0**-DECIMALS * DEGREE

@@ -56,6 +56,8 @@ class Aerotech(EveryTurnController):
         verified_on="page, and a program that writes the file",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    value_resolution = 10.0**-DECIMALS * ARCSEC
+    switch_on = "name the file below Configure, Calibration, or load it by CalibrationLoad()"
     one_direction = True
     unverified = (
         "the sign: that program writes minus the measured error, and the page does not say",
@@ -90,11 +92,6 @@ class Aerotech(EveryTurnController):
                 f"aerotech: first_turn {self.first_turn}: the table begins at position 0, choose 0"
             )
 
-    @property
-    def switch_on(self) -> str:
-        """Where the file is named, or the function that loads it."""
-        return "name the file below Configure, Calibration, or load it by CalibrationLoad()"
-
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the file; ConfigurationError for an arc or uneven rows."""
         spacing = even_interval_deg(table, "Aerotech", 10.0**-PLACES)
@@ -123,7 +120,3 @@ class Aerotech(EveryTurnController):
         )
         even = (0.0, parse_number(match[2], f"{name}, SAMPLEDIST"))
         return UnrolledTable.evenly(name, even, (values, values), self.travel, ARCSEC)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return 10.0**-DECIMALS * ARCSEC

@@ -54,6 +54,11 @@ class Centroid(EveryTurnController):
         verified_on="page, and a file of a machine whose values are all 0",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    value_resolution = 10.0**-DECIMALS * DEGREE
+    switch_on = (
+        "copy the file under the name of the axis (cnc-a.tab; Linux: cnc10a.tab), switch its "
+        "compensation on in the motor parameters (from memory), then restart"
+    )
     unverified = (
         "the sign: the page says 'correction'",
         "the unit of a rotary axis: the file at hand is of a linear one, and all its values are 0",
@@ -72,14 +77,6 @@ class Centroid(EveryTurnController):
     units: str = setting(
         "MM", doc="word after UNITS; a rotary axis counts in degrees", choices=("MM", "INCH")
     )
-
-    @property
-    def switch_on(self) -> str:
-        """The name that the control looks for."""
-        return (
-            "copy the file under the name of the axis (cnc-a.tab; Linux: cnc10a.tab), switch its "
-            "compensation on in the motor parameters (from memory), then restart"
-        )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the file; ConfigurationError for an arc or uneven rows."""
@@ -115,7 +112,3 @@ class Centroid(EveryTurnController):
                 f"{name}: {len(at)} rows, expected {count} that are {spacing:g} deg apart"
             )
         return UnrolledTable.evenly(name, (float(at[0]), spacing), (up, down), self.travel, DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return 10.0**-DECIMALS * DEGREE

@@ -46,6 +46,8 @@ class Fagor(Controller):
         source="CNC 8055 Installation Manual V02.2x, section 7.5.7, p. 328",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    value_resolution = position_resolution
+    switch_on = "LSCRWCOM (P15) = ON and NPOINTS (P16) of the axis"
     own_settings = (
         OwnSetting(
             "BACKLASH (P14)",
@@ -62,11 +64,6 @@ class Fagor(Controller):
     max_points: int = setting(
         MAX_ROWS, doc="NPOINTS (P16) of the axis", minimum=2, maximum=MAX_ROWS
     )
-
-    @property
-    def switch_on(self) -> str:
-        """The parameter of the axis."""
-        return "LSCRWCOM (P15) = ON and NPOINTS (P16) of the axis"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table; ConfigurationError for too many points or a hidden reverse column."""
@@ -98,7 +95,3 @@ class Fagor(Controller):
         ]
         angles, up, down = np.array(rows, dtype=np.float64).reshape(-1, 3).T
         return PeriodicTable(name, angles, up, down if np.any(down) else up, -DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return self.position_resolution

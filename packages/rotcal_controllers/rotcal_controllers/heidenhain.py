@@ -62,6 +62,12 @@ class Heidenhain(Controller):
         source="Technical Manual MANUALplus 620 pp. 716-718; TNC 407/415/425 pp. 4-26 .. 4-31",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    value_resolution = 2.0 * position_resolution
+    """A difference is rounded twice."""
+    switch_on = (
+        "copy the line into the active .CMA table (config.cma), its * in the column ACTIVE; "
+        "older controls: MP730, and the line by soft key or PLC module 9095"
+    )
     own_settings = (
         OwnSetting(
             "MP730 (bit of the axis)",
@@ -111,14 +117,6 @@ class Heidenhain(Controller):
         text = "\n".join([*(f"; {line}" for line in head), "KEY       AXIS COORD", *rows])
         return Located({f"{stem}.txt": text + "\n"}, values, CHAIN_SOURCE, (LEANS,), CHAIN_OPEN)
 
-    @property
-    def switch_on(self) -> str:
-        """The line of the .CMA table."""
-        return (
-            "copy the line into the active .CMA table (config.cma), its * in the column ACTIVE; "
-            "older controls: MP730, and the line by soft key or PLC module 9095"
-        )
-
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the .COM table and its .CMA table; ConfigurationError above 256 rows."""
         require_circle(table, "Heidenhain")
@@ -148,7 +146,3 @@ class Heidenhain(Controller):
         _, angles, backlash, up = parse_rows(name, lines[2:-1], 4, None).T
         down = backlash if self.backlash == ABSOLUTE else backlash + up
         return PeriodicTable(name, angles, up, down, -DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return twice the last decimal, in rad: a difference is rounded twice."""
-        return 2.0 * self.position_resolution

@@ -49,6 +49,8 @@ class Kflop(EveryTurnController):
         verified_on="the maker's example",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    value_resolution = 10.0**-DECIMALS * DEGREE
+    switch_on = "Linear Table Correction of the axis in KMotionCNC, with the name of the file"
     own_settings = (
         OwnSetting(
             "BacklashMode, BacklashAmount",
@@ -62,11 +64,6 @@ class Kflop(EveryTurnController):
         "the two columns of a point: read off a user's table in the maker's forum",
         "what the control does beyond the table: keep the travel inside",
     )
-
-    @property
-    def switch_on(self) -> str:
-        """The screen that takes the file."""
-        return "Linear Table Correction of the axis in KMotionCNC, with the name of the file"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table; ConfigurationError for an arc or uneven rows."""
@@ -91,7 +88,3 @@ class Kflop(EveryTurnController):
             raise BagError(f"{name}: {len(lines)} points, expected {count}: 0, 1, .. {count - 1}")
         added = commanded - (begin + spacing * index)
         return UnrolledTable.evenly(name, (begin, spacing), (added, added), self.travel, DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return 10.0**-DECIMALS * DEGREE

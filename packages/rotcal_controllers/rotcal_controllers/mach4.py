@@ -54,6 +54,11 @@ class Mach4(EveryTurnController):
         source=PAGE,
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    value_resolution = 10.0**-DECIMALS * DEGREE
+    switch_on = (
+        "enter the values in Configure, Plugins, Machine Calibration, Linear Compensation, "
+        "and enable the map of the motor"
+    )
     unverified = (
         "that 'the difference between the expected position and the actual position' is expected "
         "minus actual",
@@ -84,14 +89,6 @@ class Mach4(EveryTurnController):
     def one_direction(self) -> bool:
         """Whether one map serves both directions."""
         return self.directions == MEAN
-
-    @property
-    def switch_on(self) -> str:
-        """The plug-in that takes the values."""
-        return (
-            "enter the values in Configure, Plugins, Machine Calibration, Linear Compensation, "
-            "and enable the map of the motor"
-        )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the sheet; ConfigurationError for an arc or uneven rows."""
@@ -125,7 +122,3 @@ class Mach4(EveryTurnController):
         if self.one_direction and not np.array_equal(up, down):
             raise BagError(f"{name}: one map for both directions, and the columns differ")
         return UnrolledTable.evenly(name, (start, spacing), (up, down), self.travel, DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return 10.0**-DECIMALS * DEGREE

@@ -60,6 +60,7 @@ class Pmac(Controller):
         "PMAC Software Reference pp. 207-211",
         verified_on="the maker's example",
     )
+    switch_on = "I51=1 (in the file), then home the motor"
     own_settings = (
         OwnSetting(
             "Ixx86, Ixx85",
@@ -152,11 +153,6 @@ class Pmac(Controller):
         amount = -self.without_table(Approach.NEGATIVE)
         about = f"I{self.motor}86 = {self.backlash_sixteenths}, which the file overwrites,"
         return backlash_note(about, amount, table)
-
-    @property
-    def switch_on(self) -> str:
-        """The variable of all tables; it is in the file."""
-        return "I51=1 (in the file), then home the motor"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the on-line commands; ConfigurationError unless zero stays zero.

@@ -65,6 +65,7 @@ class Sinumerik(Controller):
         "808D Function Manual (01/2017) pp. 106-109",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    value_resolution = position_resolution
     own_settings = (
         OwnSetting(
             "MD32450 BACKLASH",
@@ -271,10 +272,6 @@ class Sinumerik(Controller):
             )
         rows, up = columns["1"]
         return PeriodicTable(name, rows, up, columns["-1"][1], self._cec_sign * DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return self.position_resolution
 
     @property
     def _cec_sign(self) -> float:

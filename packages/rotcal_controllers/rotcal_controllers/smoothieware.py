@@ -86,6 +86,7 @@ class Smoothieware(EveryTurnController):
         "Robot.cpp",
         verified_on="the source of the firmware",
     )
+    switch_on = "copy the points to /sd/pitch_compensation.dat, then M381.3"
     one_direction = True
     unverified = (
         "that the firmware of the machine has the module: proposal 221 of January 2026, which "
@@ -95,11 +96,6 @@ class Smoothieware(EveryTurnController):
     letter: str = setting(
         "X", doc="axis of the control that drives the table", choices=("X", "Y", "Z")
     )
-
-    @property
-    def switch_on(self) -> str:
-        """Where the points go, and the command that loads them."""
-        return "copy the points to /sd/pitch_compensation.dat, then M381.3"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the points; ConfigurationError unless the table is zero at 0 and holds 0."""

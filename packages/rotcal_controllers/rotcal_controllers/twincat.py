@@ -62,6 +62,8 @@ class TwinCat(Controller):
         unit="whole numbers of 0.0001 deg (0.36 arcsec)",
         source="Beckhoff TF5200 axis compensation, P-COMP-00017 .. 00025, 00059",
     )
+    value_resolution = UNIT_DEG * DEGREE
+    switch_on = "P-AXIS-00175 lr_param.ssfk 1, the list named in the start-up list, axis homed"
     own_settings = (
         OwnSetting(
             "P-AXIS-00021, P-AXIS-00103",
@@ -148,11 +150,6 @@ class TwinCat(Controller):
         about = f"P-AXIS-00103 = {self.backlash_deg:g} deg (set P-AXIS-00021 to 0)"
         return backlash_note(about, self.backlash_deg * DEGREE, table)
 
-    @property
-    def switch_on(self) -> str:
-        """The parameter of the axis."""
-        return "P-AXIS-00175 lr_param.ssfk 1, the list named in the start-up list, axis homed"
-
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the compensation list; raises ConfigurationError above ``max_points``."""
         spacing = even_interval_deg(table, "TwinCAT CNC", UNIT_DEG)
@@ -214,7 +211,3 @@ class TwinCat(Controller):
     def read_components(self, files: Mapping[str, str]) -> ComponentErrors:
         """Read such a file back."""
         return isg_volumetric.read(files)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return 0.0001 deg, in rad."""
-        return UNIT_DEG * DEGREE

@@ -70,6 +70,8 @@ class TwinCatNc(Controller):
         "E_WorkDirection; TF50x0: Position Correction",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    value_resolution = 10.0**-DECIMALS * DEGREE
+    switch_on = "Position Correction of the axis, then Enable of MC_TableBasedPositionCompensation"
     own_settings = (
         OwnSetting(
             "MC_BacklashCompensation",
@@ -106,11 +108,6 @@ class TwinCatNc(Controller):
         """What has not yet been confirmed on a real control."""
         return OPEN if self.one_direction else (*OPEN, TWO_BLOCKS)
 
-    @property
-    def switch_on(self) -> str:
-        """Parameter of the axis and the block."""
-        return "Position Correction of the axis, then Enable of MC_TableBasedPositionCompensation"
-
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the declarations; ConfigurationError for an arc or uneven rows."""
         even_interval_deg(table, "TwinCAT NC", 10.0**-PLACES)
@@ -139,10 +136,6 @@ class TwinCatNc(Controller):
         rows, up = columns.get(BOTH) or columns[POSITIVE]
         _, down = columns.get(BOTH) or columns[NEGATIVE]
         return PeriodicTable(name, rows, up, down, self._sign * DEGREE)
-
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return 10.0**-DECIMALS * DEGREE
 
     @property
     def _sign(self) -> float:

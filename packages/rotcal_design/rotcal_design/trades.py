@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from math import ceil
 from typing import Final, TypeVar
 
@@ -64,6 +64,19 @@ solver: {length_std_m: 1.0e-7, error_motion_std_m: 0.0}
 planner: {step_timeout_s: 60.0}
 """
 """Eight targets half a metre around a tracer 65 mm off the axis."""
+USUAL_SIX: Final = """
+method: tracer_six
+plan:
+  turning_deg_s: [12, -12]
+  table_step_deg: 10.0
+  table_positions: 36
+  places_m: [0.15, 0, 0.12, -0.075, 0.13, 0.12, -0.075, -0.13, 0.12]
+  targets_m: [0.5, 0.0, 0.3, 0.0, 0.5, 0.7, -0.5, 0.0, 0.3, 0.0, -0.5, 0.7,
+              0.35, 0.35, 0.7, -0.35, 0.35, 0.3, -0.35, -0.35, 0.7, 0.35, -0.35, 0.3]
+solver: {length_std_m: 1.0e-7}
+planner: {pause_s: 90.0, step_timeout_s: 60.0}
+"""
+"""The same targets, and three places 150 mm off the axis to which a person moves the tracer."""
 FULL_TURN_DEG: Final = 360.0
 AXES: Final = 4
 """Values of a line: two places, two turns."""
@@ -110,19 +123,20 @@ class BallsTrade:
 class TurningTrade:
     """A tracer's plan of the first ``targets``, on a table that turns or ``stands`` at its angles.
 
-    All is measured in both directions, in ``seconds``. ``expanded``: U (k = 2) of ECC, rms over
-    the angles about their mean, rad; ``place`` (m) and ``lean`` (rad) the largest such of EXC, EYC
-    and EZC, and of EAC and EBC, None where only ECC is measured. ``untested``: what the plan is
-    not protected against.
+    The tracer stands at so many ``places`` of the table. All is measured in both directions, in
+    ``seconds``. ``expanded``: U (k = 2) of ECC, rms over the angles about their mean, rad;
+    ``shift`` (m) and ``lean`` (rad) the largest such of EXC, EYC and EZC, and of EAC and EBC, None
+    where only ECC is measured. ``untested``: what the plan is not protected against.
     """
 
     stands: bool
+    places: int
     targets: int
     angles: int
     lengths: int
     seconds: float
     expanded: float
-    place: float | None
+    shift: float | None
     lean: float | None
     untested: tuple[str, ...]
 
@@ -245,15 +259,28 @@ def _with_balls(plan: Calibration, touch_s: float, way_s: float, turn_deg_s: flo
 
 
 def turning_trade(
-    configuration: Configuration, targets: Sequence[int], standing: Sequence[int]
+    configurations: Iterable[Configuration], targets: Sequence[int], standing: Sequence[int]
 ) -> tuple[TurningTrade, ...]:
     """Return plans of the first of so many targets, the quickest first.
 
-    Each is measured while the table turns, as ``configuration`` states, and at ``standing`` angles
-    of a turn at rest. A length is as noisy in either way. Plans that determine too little, or have
-    more targets than the configuration, are left out. Raises ConfigurationError for a table that
-    does not turn, PlanError when no plan is left.
+    Each is measured while the table turns, as each of the ``configurations`` states, and at
+    ``standing`` angles of a turn at rest. A length is as noisy in either way. Plans that determine
+    too little, or have more targets than the configuration, are left out. Raises
+    ConfigurationError for a table that does not turn, PlanError when no plan is left.
     """
+    every = list(configurations)
+    found = chain.from_iterable(_turning_plans(each, targets, standing) for each in every)
+    sources = ", ".join(str(each.source) for each in every)
+    return _quickest_first(
+        map(_with_turns, found),
+        PlanError(f"{sources}: none of {list(targets)} targets determine the table: state more"),
+    )
+
+
+def _turning_plans(
+    configuration: Configuration, targets: Sequence[int], standing: Sequence[int]
+) -> Iterator[Calibration]:
+    """Yield the plans of the first of so many targets that can be made."""
     if not getattr(configuration.plan, "turning_deg_s", ()) or not configuration.method.by_light:
         raise ConfigurationError(
             f"{configuration.source}: a tracer on a table that turns is traded: state "
@@ -266,13 +293,7 @@ def turning_trade(
         for others in ((), *map(_at_rest, standing))
         if number <= len(places)
     )
-    return _quickest_first(
-        map(_with_turns, _possible(configuration, variants, prepare_to_measure)),
-        PlanError(
-            f"{configuration.source}: none of {list(targets)} targets determine the table: state "
-            f"more than its {len(places)}"
-        ),
-    )
+    yield from _possible(configuration, variants, prepare_to_measure)
 
 
 def _at_rest(angles: int) -> tuple[str, ...]:
@@ -290,12 +311,13 @@ def _with_turns(calibration: Calibration) -> TurningTrade:
     u = {c: COVERAGE_FACTOR * rms_about_mean(result.covariance[c]) for c in result.components}
     return TurningTrade(
         stands=not calibration.configuration.plan.turning_deg_s,
+        places=max(len(planned.pauses), 1),
         targets=len(planned.targets),
         angles=len(result.angles),
         lengths=len(planned.counting),
-        seconds=DryRun(calibration, planned.steps[0].table_angle).taking()[0],
+        seconds=DryRun(calibration, planned.steps[0].table_angle).time_estimate()[0],
         expanded=u["ECC"],
-        place=max((u[c] for c in u if c in ("EXC", "EYC", "EZC")), default=None),
+        shift=max((u[c] for c in u if c in ("EXC", "EYC", "EZC")), default=None),
         lean=max((u[c] for c in u if c in ("EAC", "EBC")), default=None),
         untested=result.unprotected,
     )

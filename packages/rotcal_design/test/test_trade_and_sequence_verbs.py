@@ -61,7 +61,7 @@ def test_the_mirrors_hours_and_uncertainties_are_the_known_ones():
 def test_turning_and_standing_stand_side_by_side():
     """120 angles of white lengths, 65 mm off the axis: 0.13 arcsec (docs/tracer_turning.md)."""
     quiet = changed(parse_configuration(USUAL_TURNS), ["solver.length_std_m=3.5e-8"])
-    rows = turning_trade(quiet, [4, 8], [12])
+    rows = turning_trade([quiet], [4, 8], [12])
     found = {(row.stands, row.targets): row for row in rows}
     turns, stands = found[False, 4], found[True, 4]
     assert np.degrees(turns.expanded) * 3600.0 == pytest.approx(0.135, rel=0.1)
@@ -71,9 +71,29 @@ def test_turning_and_standing_stand_side_by_side():
     assert (turns.lengths, stands.lengths) == (4 * 2 * 120, 4 * 2 * 12)
     assert [row.seconds for row in rows] == sorted(row.seconds for row in rows)
     with pytest.raises(PlanError, match=r"none of \[9\] targets"):
-        turning_trade(quiet, [9], [12])
+        turning_trade([quiet], [9], [12])
     with pytest.raises(ConfigurationError, match="a tracer on a table that turns is traded"):
-        turning_trade(parse_configuration(USUAL_MIRROR), [4], [12])
+        turning_trade([parse_configuration(USUAL_MIRROR)], [4], [12])
+
+
+@pytest.mark.slow
+def test_one_place_and_three_are_traded_side_by_side():
+    ways = ("trade", "turning", "--targets", "4,6", "--angles", "6")
+    shown = run(*ways).output
+    found = {(w["places"], w["stands"], w["targets"]): w for w in data_of(*ways)["ways"]}
+    assert set(found) == {
+        (1, False, 4), (1, False, 6), (1, True, 4), (1, True, 6),
+        (3, False, 4), (3, False, 6), (3, True, 6),
+    }  # fmt: skip
+    assert "3 places and 4 targets: only while the table turns" in shown
+    turns, stands = found[3, False, 6], found[3, True, 6]
+    # three moves by hand; each target there and back, from 15 deg before 0 to 15 deg behind 350
+    assert turns["seconds"] == pytest.approx(3 * 90.0 + 3 * 6 * 2 * (380.0 / 12.0 + 5.0))
+    assert (turns["lengths"], stands["lengths"]) == (3 * 6 * 2 * 36, 3 * 6 * 2 * 6)
+    assert found[1, False, 4]["shift"] is None
+    for row in (turns, stands):
+        assert 0.02e-6 < row["shift"] < 0.3e-6
+        assert 0.02 * ARCSEC < row["lean"] < 0.5 * ARCSEC
 
 
 def usual_mirror(swing):

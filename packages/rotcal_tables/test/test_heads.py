@@ -208,7 +208,7 @@ def test_letters_with_numbers_are_a_matrix_of_places(tmp_path, head) -> None:
 
 
 @pytest.mark.parametrize(("head", "answers"), [
-    (["Angolo [°]", "Sfera", "X [mm]", "Y [mm]", "Z [mm]"], ["angle=Angolo [°]", "ball=Sfera"]),
+    (["Szög [°]", "Gömb", "X [mm]", "Y [mm]", "Z [mm]"], ["angle=Szög [°]", "ball=Gömb"]),
     (["Angle [deg]", "Feature", "X [mm]", "Y [mm]", "Z [mm]"], ["ball=Feature"]),
 ])  # fmt: skip
 def test_of_a_missing_key_the_columns_that_may_be_it_are_offered(tmp_path, head, answers) -> None:

@@ -118,20 +118,22 @@ def tables(result: Result) -> list[ResultTable]:
         ResultTable.of(
             "stations", "Stations of the tracer, and as projected on their plane", **columns
         ),
-        *_lines(details),
+        *lines_table(details, float(details["circle"]["radius"])),
         *_targets(details),
         *corrections_table(details),
         _circle(details),
     ]
 
 
-def _lines(details: Mapping[str, Any]) -> list[ResultTable]:
-    """Return the lines in what a table that turned left of the lengths, if there are any."""
+def lines_table(details: Mapping[str, Any], radius: float) -> list[ResultTable]:
+    """Return the lines in what a table that turned left of the lengths, if there are any.
+
+    ``radius`` (m) of the circle of the tracer.
+    """
     lines = details.get("turning", {}).get("lines", [])
     if not lines:
         return []
     column = {name: _array([line[name] for line in lines]) for name in lines[0]}
-    radius = float(details["circle"]["radius"])
     return [
         ResultTable.of(
             "lines",

@@ -389,17 +389,37 @@ LISTED: Final = (
     tilt(0.3, 100.0),
     leaning_axis(3600.0),
     TANGENTIAL,
-)
+    Disturbance(
+        "slip",
+        "the zero of the lengths jumps by so much, at any moment of one turn",
+        "um", MICROMETRE, 0.1, 100.0, of_turns=True,
+    ),
+    Disturbance(
+        "lag",
+        "the feedback is late by so much behind the lengths",
+        "ms", 1e-3, 1.0, 100.0, of_turns=True,
+    ),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedSteps:
-    """The steps of a plan as arrays (n,): place of the tracer, table position, target, time."""
+    """The steps of a plan as arrays (n,): place of the tracer, table position, target, time.
+
+    ``speed``, rad/s, 0 at rest; ``turn``: the number of the turn, -1 at rest.
+    """
 
     place: Ints
     position: Ints
     target: Ints
     time: Floats
+    speed: Floats
+    turn: Ints
+
+    @property
+    def half_way(self) -> float:
+        """When a knock comes: in the middle of the run, and of a turn."""
+        return 0.5 + 0.5 / (self.turn.max() + 1) if self.turn.max() >= 0 else 0.5
 
 
 def measure(
@@ -429,6 +449,9 @@ def observe_plan(
     # a station is one place of the tracer at one table position
     station = steps.place * len(plan.steps) + steps.position
     read += _in_a_sector(stations, places, station, sizes, other)
+    if size := sizes.get("slip", 0.0):
+        chosen = np.flatnonzero(steps.turn == other.choice(np.unique(steps.turn[steps.turn >= 0])))
+        read[chosen[other.integers(1, len(chosen)) :]] += size
     return tuple(
         step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
     )
@@ -471,11 +494,14 @@ def _in_a_sector(
 
 def steps_of(plan: Plan) -> PlannedSteps:
     """Return the steps of a plan as arrays."""
+    turns = np.array([step.turn is not None for step in plan.steps])
     return PlannedSteps(
         place=np.array([step.station for step in plan.steps], dtype=np.int64),
         position=np.array([step.table_position for step in plan.steps], dtype=np.int64),
         target=np.array([step.target for step in plan.steps], dtype=np.int64),
         time=relative_times(plan),
+        speed=np.array([0.0 if step.turn is None else step.turn.speed for step in plan.steps]),
+        turn=np.where(turns, np.cumsum(~turns) - 1, -1),
     )
 
 
@@ -488,8 +514,9 @@ def _stations(configuration: Configuration, plan: Plan, sizes: Sizes, streams: S
     lean = scatter_in_plane(m, sizes.get("tilt", 0.0), other)
     shift = scatter_in_plane(m, _error_motion(configuration), noise)
     shift += scatter_in_plane(m, sizes.get("error motion", 0.0), other)
-    knock = sizes.get("knock", 0.0) * np.outer(steps.time >= 0.5, ALL_AXES)
+    knock = sizes.get("knock", 0.0) * np.outer(steps.time >= steps.half_way, ALL_AXES)
     mount = np.array(configuration.simulation.tracer.mount_m) + knock
+    arrived = arrived + sizes.get("lag", 0.0) * steps.speed
     turn = rotation_about_z(np.array(plan.table_angles)[steps.position] + arrived)
     turned = np.einsum("nij,nj->ni", turn, mount)
     at = steps.position

@@ -3,7 +3,8 @@
 Each row is one reading, and where the feedback of the table was at that moment; an empty length
 is a broken beam. Turns are found by themselves: one goes from before the first angle to behind the
 last, or back, at one of the speeds if they are stated. Where the tracer stands at several places
-of the table, a column ``place`` numbers them. Readings become lengths as live ones do.
+of the table, a column ``place`` numbers them; in streams, each place has all its turns one after
+the other. Readings become lengths as live ones do.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class _RawReadings:
     """All readings of a ``source``, (n,): stamps, ns, and degrees without a wrap.
 
     ``values`` (n, 3) are those of an admitted tracer stream. ``beam``: how often the zero of the
-    lengths was lost before. ``target`` is None where nothing names it, and ``place`` is 0 then.
+    lengths was lost before. ``target`` and ``place`` are None where nothing names them.
     ``begin_ns``: from when on seconds count for people.
     """
 
@@ -65,7 +66,7 @@ class _RawReadings:
     angle_deg: Floats
     values: Floats
     beam: Ints
-    place: Ints
+    place: Ints | None = None
     target: Ints | None = None
     begin_ns: int = 0
 
@@ -79,7 +80,7 @@ class _RawReadings:
             row.metres("length_m") if row.cells["length_m"].strip() else np.nan for row in rows
         ])  # fmt: skip
         target = [row.index("target") for row in rows] if "target" in table.header else None
-        place = [row.index(PLACE) if PLACE in table.header else 0 for row in rows]
+        place = [row.index(PLACE) for row in rows] if PLACE in table.header else None
         if (back := np.flatnonzero(np.diff(time) <= 0.0)).size:
             raise DataError(f"{rows[int(back[0]) + 1].place}: {TIME} does not grow")
         if np.abs(time[[0, -1]]).max() > LATEST_S:
@@ -93,7 +94,7 @@ class _RawReadings:
             whole,
             np.column_stack([np.arange(len(time)), length, fault]),
             np.cumsum(dark),
-            np.array(place),
+            None if place is None else np.array(place),
             None if target is None else np.array(target),
         )
 
@@ -140,10 +141,7 @@ def of_streams(
             "state plan.targets_m, targets_file, or box_centre_m, box_size_m and box_points"
         )
     stamps, angle, values, beam = streams.readings(configuration.capture)
-    nowhere, begin_ns = np.zeros(len(stamps), dtype=np.int64), int(stamps[0])
-    readings = _RawReadings(
-        source, stamps, angle / DEGREE, values, beam, nowhere, begin_ns=begin_ns
-    )
+    readings = _RawReadings(source, stamps, angle / DEGREE, values, beam, begin_ns=int(stamps[0]))
     return PlannedMeasurements(*_lengths(form, configuration, readings, ()))
 
 
@@ -164,7 +162,8 @@ def _lengths(
         speeds = speeds_of(turn.speed for turn in found)
     calibration = planned(form, configuration, wanted, speeds, targets)
     places, of = form.count(calibration.plan), len(calibration.plan.targets)
-    found = _with_targets(_with_places(found, readings, places), readings, of, len(speeds), places)
+    found = _with_places(found, readings, places, of * len(speeds))
+    found = _with_targets(found, readings, of, len(speeds), places)
     steps = form.steps(calibration.plan)
     check, observations = LengthCheck(calibration.plan), list[Observation]()
     attempts = Counter[tuple[int, int, int]]()
@@ -223,10 +222,23 @@ def _turns(readings: _RawReadings, first_deg: float, last_deg: float) -> list[_F
     return found
 
 
-def _with_places(found: list[_FoundTurn], readings: _RawReadings, places: int) -> list[_FoundTurn]:
-    """Return the turns with their places: by the column, 0 where there is one place."""
-    every = ((turn, _number_of(turn, readings, PLACE, readings.place, places)) for turn in found)
-    return [replace(turn, place=number) for turn, number in every]
+def _with_places(
+    found: list[_FoundTurn], readings: _RawReadings, places: int, each: int
+) -> list[_FoundTurn]:
+    """Return the turns with their places: by the column, or ``each`` of them, in their order."""
+    if readings.place is not None:
+        numbers = [_number_of(t, readings, PLACE, readings.place, places) for t in found]
+    elif places == 1:
+        numbers = [0] * len(found)
+    elif len(found) == places * each:
+        numbers = [k // each for k in range(len(found))]
+    else:
+        raise DataError(
+            f"{readings.source}: found {len(found)} turns, expected {each} at each of {places} "
+            "places, one place after the other: which turn was made where? Give the readings as a "
+            f"table with a column {PLACE}"
+        )
+    return [replace(turn, place=number) for turn, number in zip(found, numbers, strict=True)]
 
 
 def _with_targets(

@@ -13,6 +13,7 @@ from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.figures.style import name_places
 from rotcal_ros.methods.result_tables import ResultTable, by_axis, corrections_table
+from rotcal_ros.methods.tracer.figures import lines_table
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
@@ -62,4 +63,7 @@ def tables(result: Result) -> list[ResultTable]:
             found.append(
                 ResultTable.of(name, title, **{number: details[f"{number}_ids"], **columns})
             )
+    if "places" in details:
+        places = np.asarray(details["places"], dtype=np.float64)
+        found += lines_table(details, float(np.hypot(*places[:, :2].T).mean()))
     return [*found, *corrections_table(details)]

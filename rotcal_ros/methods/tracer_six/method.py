@@ -8,6 +8,7 @@ column ``segment`` numbers the unbroken beams from a place, without it each has 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -33,12 +34,14 @@ from rotcal_ros.methods.arrivals import (
 )
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials
+from rotcal_ros.methods.tracer import turning_readings
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
     read_from,
     segments_of,
     times_before,
+    times_measured_before,
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
@@ -152,7 +155,7 @@ def problem(
         turn = position // len(plan.distinct_angles)
         columns = {"speed": speeds[turn], "lag": settings.lag_s, "lag_std": settings.lag_std_s}
         zero, segment = "per_segment", segments_of(observations, turn)
-    arrival, arrivals = times_before(plan), _arrivals(configuration, plan)
+    arrivals = _arrivals(configuration, plan)
     shift, turned, own_std = _scatter(configuration)
     return SixProblem(
         **length_columns(settings, plan, observations, own_std),
@@ -166,12 +169,18 @@ def problem(
         segment=segment,
         scatter_translation_std=shift,
         scatter_rotation_std=turned,
-        arrival=np.array(
-            [arrival[o.step] + len(plan.steps) * o.run for o in observations], dtype=np.int64
-        ),
+        arrival=_arrived(plan, observations, turns=bool(len(speeds))),
         tilt_std=settings.tilt_std_rad,
         slip=settings.slip_m,
     )
+
+
+def _arrived(plan: Plan, observations: Sequence[Observation], *, turns: bool) -> Ints:
+    """Return the numbers (k,) of arrivals; where the table ``turns``, of lengths read again."""
+    if turns:
+        return times_measured_before(plan, observations)
+    before, steps = times_before(plan), len(plan.steps)
+    return np.array([before[o.step] + steps * o.run for o in observations], dtype=np.int64)
 
 
 def _scatter(configuration: Configuration) -> tuple[float | None, float | None, float]:
@@ -325,6 +334,7 @@ METHOD: Final = Method(
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
     table=TableReader(HEADERS, read, COLUMNS, TARGETS, runs="arrivals", with_angles=TURNS.headers),
+    of_turns=partial(turning_readings.of_streams, TURNS),
     figures=plugins.lazy_load("rotcal_ros.methods.tracer_six.figures:figures"),
     tables=plugins.lazy_load("rotcal_ros.methods.tracer_six.figures:tables"),
     zero=gauge.describe,

@@ -1,13 +1,15 @@
-"""Tables of lengths and of readings of a table that turned, from three places."""
+"""Tables and bags of lengths and readings of a table that turned, from three places."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from other_messages import write_messages
 from six_turning_scene import ARCSEC, DEGREE, NAMES, six_turning_scene
 
 import rotcal_ros as rc
 from rotcal_ros.foundation.errors import DataError, PlanError
+from rotcal_ros.recordings.inputs import MeasurementInput
 
 COMPONENTS = dict(zip(NAMES, 3 * [1e-6] + 3 * [ARCSEC], strict=True))
 
@@ -122,3 +124,47 @@ def test_what_no_plan_has_is_refused(scene, tmp_path):
     few = [line for line in lines if line.split(",")[2] in ("target", "0", "1", "2")]
     with pytest.raises(PlanError, match="3 targets: every turn counts from a zero of its own"):
         written(replace(scene, nominal=scene.nominal[:3]), tmp_path, few)
+
+
+def bag_of(scene, folder, rows):
+    """Write lengths and angles of ``rows`` (k, 3) in JSON, without orders; return bag and set-up.
+
+    The feedback of the table comes as often, and wraps.
+    """
+    start, messages = 1_700_000_000_000_000_000, []
+    for k in range(100):  # the speed of feedback without one is known after a tenth of a second
+        at_rest = {"axis": {"degrees": rows[0, 1] % 360.0}}
+        messages.append(("/drive", at_rest, start - 2_000_000 * (100 - k)))
+    for time, angle, length in rows.tolist():
+        at = start + round(time * 1e9)
+        messages.append(("/laser", {"metres": length}, at))
+        messages.append(("/drive", {"axis": {"degrees": angle % 360.0}}, at))
+    write_messages(folder / "turns.mcap", "json", messages)
+    setup = folder / "bag.yaml"
+    setup.write_text(
+        "method: tracer_six\ntopics: {tracer_length: /laser, length_field: metres, "
+        "length_clock: sent, joint_states: /drive, angle_field: axis.degrees, angle_unit: deg, "
+        f"table_clock: sent}}\nplan: {{places_m: {scene.places.ravel().tolist()}, "
+        f"targets_m: {scene.nominal.ravel().tolist()}, table_positions: 12, "
+        "table_step_deg: 30, passing_deg: 1.01}\nsolver: {length_std_m: 8.0e-8}\n"
+    )
+    return folder / "turns.mcap", setup
+
+
+@pytest.mark.slow
+def test_a_bag_without_orders_has_one_place_after_the_other(tmp_path):
+    scene = six_turning_scene(8, angles=12, speed_deg_s=120.0, window_deg=1.01)
+    bag, setup = bag_of(scene, tmp_path, np.concatenate(scene.readings))
+    measured = MeasurementInput(bag, setup).read()
+    assert not [o.reason for o in measured.observations if not o.accepted]
+    assert [o.station for o in measured.observations] == [k // 96 for k in range(288)]
+    result = measured.solve()
+    assert result.verdict == "ok", result.warnings
+    within(scene, result)
+
+
+def test_a_bag_that_lacks_a_turn_is_asked_about(tmp_path):
+    scene = six_turning_scene(9, angles=3, speed_deg_s=240.0, window_deg=2.01)
+    bag, setup = bag_of(scene, tmp_path, np.concatenate(scene.readings[:-1])[::2])
+    with pytest.raises(DataError, match="found 23 turns, expected 8 at each of 3 places"):
+        MeasurementInput(bag, setup).read()

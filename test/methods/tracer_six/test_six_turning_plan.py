@@ -71,7 +71,7 @@ def test_360_angles_from_three_places_take_less_than_20_minutes():
         "plan.passing_deg=0.5", "plan.turning_deg_s=[12, -12]",
     )  # fmt: skip
     first = calibration.plan.steps[0]
-    seconds, why = DryRun(calibration, first.table_angle).taking()
+    seconds, why = DryRun(calibration, first.table_angle).time_estimate()
     assert seconds == pytest.approx(24 * (389.0 / 12.0 + 5.0) + 3 * 90.0, rel=1e-9)
     assert seconds < 20 * 60
     assert "90 s for a pause (planner.pause_s)" in why
@@ -102,3 +102,28 @@ def test_a_simulated_table_is_captured_in_its_turns_and_solved():
 def test_the_demonstration_is_prepared_for_a_table_of_what_it_measures():
     calibration = prepare(read_configuration(DEMO))
     assert len(calibration.plan.counting) == 3 * 4 * 2 * 120
+
+
+@pytest.mark.slow
+def test_a_calibration_taken_up_again_in_the_middle_of_a_place_is_one():
+    calibration = made("plan.table_positions=24", "plan.table_step_deg=15.0").of_distances
+    seen = [
+        o for o in calibration.measured({}, 2).observations if calibration.plan.steps[o.step].turn
+    ]
+    leg = len(calibration.plan.steps) * 4 // 8  # the third target at the second place
+    whole = calibration.solve(seen)
+    again = calibration.solve([replace(o, run=int(o.step >= leg)) for o in seen])
+    for name, values in whole.deviations.items():
+        np.testing.assert_allclose(
+            again.deviations[name], values, atol=1e-3 * whole.std[name].max()
+        )
+    # of the turn in which it ended, some lengths are there twice
+    begun = [replace(o, mean=(o.mean[0] + 2e-3,)) for o in seen if leg <= o.step < leg + 9]
+    twice = [*(o for o in seen if o.step < leg), *begun,
+             *(replace(o, run=1) for o in seen if o.step >= leg)]  # fmt: skip
+    result = calibration.solve(twice)
+    assert result.verdict == whole.verdict
+    assert result.n_observations == len(seen) + len(begun)
+    assert not result.rejected
+    for name, values in whole.deviations.items():
+        assert np.abs(result.deviations[name] - values).max() < 0.5 * whole.std[name].max()

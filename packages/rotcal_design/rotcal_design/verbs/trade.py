@@ -309,48 +309,61 @@ def balls(
 
 
 @trade.command(cls=TradeCommand)
-@click.argument("configuration", type=path_type, metavar="[CONFIG]", required=False)
+@click.argument("configuration", type=path_type, metavar="[CONFIG]...", nargs=-1)
 @shown_option("--need-arcsec", type=positive, default=1.0, help="arcsec, required U(ECC), k = 2.")
 @shown_option("--targets", default="4,6,8", help="Numbers of targets, of those of CONFIG.")
 @shown_option("--angles", default="12,36", help="Table angles where the table stands.")
 @json_option
 def turning(
-    configuration: Path | None, need_arcsec: float, targets: str, angles: str
+    configuration: tuple[Path, ...], need_arcsec: float, targets: str, angles: str
 ) -> TradeTable:
     """Minutes and U of a tracer while the table turns, and where it stands at its angles.
 
-    For CONFIG or the usual case, in both directions, with one noise of a length for both.
+    For each CONFIG, else for the usual cases: at one place (ECC), and at three (all six
+    deviations). In both directions, with one noise of a length for both.
     """
-    from rotcal_design.trades import USUAL_TURNS, turning_trade
+    from rotcal_design.trades import USUAL_SIX, USUAL_TURNS, turning_trade
+    from rotcal_ros.methods import parse_configuration, read_configuration
 
     rows = turning_trade(
-        _configuration(configuration, USUAL_TURNS),
+        [read_configuration(path) for path in configuration]
+        or [parse_configuration(usual) for usual in (USUAL_TURNS, USUAL_SIX)],
         positive_whole_numbers(targets, "--targets"),
         positive_whole_numbers(angles, "--angles"),
     )
     need = need_arcsec * ARCSEC
     fewest = next((row for row in rows if not row.stands and row.expanded <= need), None)
-    note, all_six = f"no turns of so many targets reach {need_arcsec:g} arcsec", list[Column]()
+    note = f"no turns of so many targets reach {need_arcsec:g} arcsec"
     if fewest is not None:
         note = f"fewest turns for U <= {need_arcsec:g} arcsec: those of {fewest.targets} targets"
-    if places := [row.place for row in rows if row.place is not None]:
-        leans = [row.lean for row in rows if row.lean is not None]
-        all_six = [
-            column_of("U(EXC EYC EZC)/um", places, MICROMETRE, ".3f"),
-            column_of("U(EAC EBC)/arcsec", leans, ARCSEC, ".3f"),
-        ]
+    each = {(row.places, row.targets, row.stands) for row in rows}
+    notes = [note] + [
+        f"{places} places and {number} targets: only while the table turns, at rest too few"
+        for places, number, stands in sorted(each)
+        if not stands and (places, number, True) not in each
+    ]
     columns = [
         Column("table", ["stands" if row.stands else "turns" for row in rows]),
+        Column("places", [row.places for row in rows]),
         Column("targets", [row.targets for row in rows]),
         Column("angles", [row.angles for row in rows]),
         Column("lengths", [row.lengths for row in rows]),
         column_of("minutes", [row.seconds for row in rows], MINUTE, ".1f"),
-        column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".3f"),
-        *all_six,
-        Column("not tested for", ["; ".join(row.untested) for row in rows]),
+        column_of("U(ECC)/arcsec", [row.expanded for row in rows], ARCSEC, ".2f"),
     ]
+    if any(row.shift is not None for row in rows):
+        columns += [
+            Column("U(EXC EYC EZC)/um", [_shown(row.shift, MICROMETRE) for row in rows]),
+            Column("U(EAC EBC)/arcsec", [_shown(row.lean, ARCSEC) for row in rows]),
+        ]
+    columns.append(Column("not tested for", ["; ".join(row.untested) for row in rows]))
     title = "tracer: a table that turns beside one that stands (U with k = 2, rms)"
-    return TradeTable({"need_rad": need, **_rows(rows)}, columns, title, (note,))
+    return TradeTable({"need_rad": need, **_rows(rows)}, columns, title, tuple(notes))
+
+
+def _shown(size: float | None, unit: float) -> str:
+    """Return a size in its unit, nothing for one that is not measured."""
+    return "" if size is None else f"{size / unit:.2f}"
 
 
 def _configuration(path: Path | None, usual: str) -> Configuration:

@@ -19,7 +19,13 @@ from typing import Any, Final, TypeAlias
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.language import noted, phrase
-from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, read_errors_as
+from rotcal_ros.foundation.untrusted import (
+    LARGEST_FILE,
+    WORKBOOKS,
+    load_json,
+    read_bytes,
+    read_errors_as,
+)
 from rotcal_tables.sheets import workbook
 
 Cell: TypeAlias = "str | float"
@@ -35,10 +41,12 @@ class TimeCell(str):
 READERS: Final = "rotcal_tables.readers"
 """Functions that return the rows of an instrument's file, its head first; None for another."""
 _MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-_OLDER: Final = ("cp1252", "cp850", "gb18030", "cp932")
+_OLDER: Final = ("cp1252", "cp850", "gb18030", "cp932", "cp1250", "cp1251", "cp949")
 """Encodings that any bytes may be in: the names of the columns show which one it is."""
 _GAP: Final = re.compile(r"\s{2,}|\t")
 _COMMENT: Final = re.compile(r"\s*(?:[#%]|//)")
+_FORMULA: Final = re.compile(r'="([^"]*)"')
+"""A text that a spreadsheet program must not turn into something else."""
 _RULE: Final = re.compile(r"[-=:+_ ]*")
 """What lines below a head are drawn with."""
 _MOST: Final = 0.6
@@ -63,7 +71,7 @@ class Sheet:
     name: str = ""
 
 
-def sheets(path: Path) -> list[Sheet]:
+def read_sheets(path: Path) -> list[Sheet]:
     """Return what the file at ``path`` may hold: a grid per sheet, or per way to read a text.
 
     Raises BagError for a file that cannot be read.
@@ -73,7 +81,7 @@ def sheets(path: Path) -> list[Sheet]:
     if data.startswith(WORKBOOKS):
         return _sheets(path, data)
     texts = list(_texts(data))
-    if texts and (own := _of_an_instrument(path, texts[0][1])):
+    if texts and (own := _of_an_instrument(path, texts[0][1]) or _of_json(path, texts[0][1])):
         return [own]
     found = [sheet for encoding, text in texts for sheet in _ways(text, encoding)]
     if not found:
@@ -94,6 +102,21 @@ def _of_an_instrument(path: Path, text: str) -> Sheet | None:
         if rows is not None:
             return Sheet(phrase("file of {0}", name), tuple(enumerate(rows, start=1)))
     return None
+
+
+def _of_json(path: Path, text: str) -> Sheet | None:
+    """Return the table in lines of JSON, an object each; None for any other text."""
+    if not text.lstrip("\ufeff \r\n").startswith("{"):
+        return None
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    try:
+        objects = [(number, dict[str, Any](load_json(line))) for number, line in lines]
+    except (ValueError, TypeError) as error:
+        raise BagError(f"{path}: expected an object of JSON on each line: {error}") from error
+    head = dict.fromkeys(name for _, values in objects for name in values)
+    rows = [(n, tuple("" if values.get(name) is None else str(values[name]) for name in head))
+            for n, values in objects]  # fmt: skip
+    return Sheet(phrase("lines of JSON"), ((0, tuple(head)), *rows))
 
 
 def _sheets(path: Path, data: bytes) -> list[Sheet]:
@@ -209,12 +232,20 @@ def _rows(text: str, separator: str) -> list[tuple[int, tuple[Cell, ...]]] | Non
         numbered = enumerate(text.splitlines(), start=1)
         found = [(number, split(line.strip())) for number, line in numbered]
     else:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+        lone = text.count('"') % 2  # a sign of seconds
+        reader = csv.reader(
+            io.StringIO(text, newline=""),
+            delimiter=separator,
+            quoting=csv.QUOTE_NONE if lone else csv.QUOTE_MINIMAL,
+        )
         try:
             found = [(reader.line_num, cells) for cells in reader]
         except csv.Error:
             return None
-    stripped = [(number, tuple(map(str.strip, cells))) for number, cells in found]
+    stripped = [
+        (number, tuple(_FORMULA.sub(r"\1", cell.strip()) for cell in cells))
+        for number, cells in found
+    ]
     return [row for row in stripped if any(row[1]) and not _is_rule(row[1])]
 
 

@@ -14,7 +14,7 @@ from typing import Final
 
 from rotcal_ros.foundation.table_columns import ANGLE, TIME, UNITS, plain, quantity_of
 from rotcal_tables.sheets.files import Cell
-from rotcal_tables.sheets.words import of_quantity, units_of
+from rotcal_tables.sheets.words import units_of, units_of_quantity
 
 _SPACES: Final = " '’"
 _WHOLE: Final = rf"\d{{1,3}}(?:[{_SPACES}]\d{{3}})+|\d+"
@@ -27,10 +27,11 @@ _GROUPED: Final = {
 _SEXAGESIMAL: Final = {
     mark: re.compile(
         r"""([-+]?)\s*(\d+)\s*([°d:\s])\s*(?:(\d+(?:M\d*)?)\s*['′m:\s]?\s*"""
-        r"""(?:(\d+(?:M\d*)?)\s*(?:"|''|′′|s)?)?)?""".replace("M", re.escape(mark))
+        r"""(?:(\d+(?:M\d*)?)\s*(?:"{1,2}|''|′′|s)?)?)?""".replace("M", re.escape(mark))
     )
     for mark in (".", ",")
 }
+_SIGN_APART: Final = re.compile(r"^([-+])\s+")
 _MINUTES_FIRST: Final = re.compile(r"^([-+]?)(?=\d+['′])")
 _MEASURE: Final = re.compile(r"(.*?\d\.?)\s*([^\d\s.,+-].*)", re.DOTALL)
 
@@ -43,13 +44,13 @@ class Measure:
     unit: str = ""
 
 
-def in_si(measure: Measure, unit: str) -> Decimal:
+def to_si(measure: Measure, unit: str) -> Decimal:
     """Return a measure in metres, radians or seconds; ``unit`` holds where the cell has none."""
     used = measure.unit or unit
     return measure.value * UNITS[quantity_of(used)][used]
 
 
-def parse(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
+def parse_measure(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
     """Return the number in a cell whose decimal mark is ``mark``; None if there is none.
 
     For an angle 12°30'15" is a number too, and 12:30:15, which may be a time, has the unit dms;
@@ -66,7 +67,7 @@ def parse(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
     if quantity == TIME and (value := _moment(text)) is not None:
         return Measure(value, "s")
     apart = _MEASURE.fullmatch(text)
-    units = of_quantity(units_of(apart[2]), quantity) if apart and quantity else ()
+    units = units_of_quantity(units_of(apart[2]), quantity) if apart and quantity else ()
     value = _decimal(apart[1], mark) if apart and len(units) == 1 else None
     if value is None or quantity_of(units[0]) != quantity:
         return None
@@ -101,7 +102,7 @@ def _decimal(text: str, mark: str) -> Decimal | None:
         if grouped is None or text.lstrip("+-").startswith("0"):
             return None
         text = text.replace(other, "")
-    text = text.replace(mark, ".")
+    text = _SIGN_APART.sub(r"\1", text.replace(mark, "."))
     if not _NUMBER.fullmatch(text):
         return None
     return Decimal(re.sub(f"[{_SPACES}]", "", text).lower().replace("d", "e"))

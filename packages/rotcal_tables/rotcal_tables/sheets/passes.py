@@ -16,11 +16,11 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.table_columns import folded, undecided
 from rotcal_ros.foundation.table_reading import Pass
 from rotcal_ros.foundation.units import DEGREE, TURN
-from rotcal_tables.sheets.words import is_direction
+from rotcal_tables.sheets.words import is_direction_word
 
 
 @dataclass(frozen=True, slots=True)
-class Halt:
+class Stop:
     """The table stood at ``angle`` (rad), which has a ``number``, when a ``row`` was measured.
 
     ``what`` was measured, as its target and station. ``run`` and ``down`` are what columns state,
@@ -36,13 +36,13 @@ class Halt:
     way: str = ""
 
 
-def directed(halts: Sequence[Halt], up: str, where: str) -> Sequence[Halt]:
+def resolve_directions(halts: Sequence[Stop], up: str, where: str) -> Sequence[Stop]:
     """Return the halts with the directions of two words of either sign, as clockwise.
 
     The angle grows with the word ``up``, or as the order of the rows shows; else it is asked.
     """
     words = list({folded(halt.way): halt.way for halt in halts if halt.way}.values())
-    if not words or (len(words) == 1 and is_direction(words[0])):
+    if not words or (len(words) == 1 and is_direction_word(words[0])):
         return halts
     if len(words) != 2 or not all(halt.way for halt in halts):
         row = next(halt.row for halt in halts if halt.way)
@@ -70,7 +70,7 @@ def directed(halts: Sequence[Halt], up: str, where: str) -> Sequence[Halt]:
     return [replace(halt, down=folded(halt.way) != folded(up)) for halt in halts]
 
 
-def closed(halts: Sequence[Halt]) -> list[Halt]:
+def close_full_turns(halts: Sequence[Stop]) -> list[Stop]:
     """Return the halts with a last angle that closes a turn counted on: 360 degrees after 330."""
     found = list(halts)
     for group in _groups(halts):
@@ -82,12 +82,12 @@ def closed(halts: Sequence[Halt]) -> list[Halt]:
     return found
 
 
-def is_repeated(halts: Sequence[Halt]) -> bool:
+def has_repeated_angles(halts: Sequence[Stop]) -> bool:
     """Return whether anything was measured at an angle more than once."""
     return len({(halt.what, halt.number) for halt in halts}) < len(halts)
 
 
-def passes(halts: Sequence[Halt], where: str, *, both: bool = False) -> list[Pass]:
+def assign_passes(halts: Sequence[Stop], where: str, *, both: bool = False) -> list[Pass]:
     """Return the pass of each halt, each direction with runs from 0.
 
     What is measured once more at the end is measured as it was at first.
@@ -131,7 +131,7 @@ def passes(halts: Sequence[Halt], where: str, *, both: bool = False) -> list[Pas
     return [(of_side[side].index(run), side) for _, (run, side) in sorted(found.items())]
 
 
-def _with_runs_of_a_plan(halts: Sequence[Halt]) -> Sequence[Halt]:
+def _with_runs_of_a_plan(halts: Sequence[Stop]) -> Sequence[Stop]:
     """Return the halts without their runs where these are more than the visits of an angle."""
     visits = Counter((halt.what, halt.number) for halt in halts)
     if len({halt.run for halt in halts}) <= max(visits.values()):
@@ -139,7 +139,7 @@ def _with_runs_of_a_plan(halts: Sequence[Halt]) -> Sequence[Halt]:
     return [replace(halt, run="") for halt in halts]
 
 
-def _groups(halts: Sequence[Halt]) -> Iterator[list[int]]:
+def _groups(halts: Sequence[Stop]) -> Iterator[list[int]]:
     """Yield which halts measured the same, in their order; columns part them further."""
     groups = dict[object, list[int]]()
     for k, halt in enumerate(halts):
@@ -147,7 +147,7 @@ def _groups(halts: Sequence[Halt]) -> Iterator[list[int]]:
     yield from groups.values()
 
 
-def _parts(halts: Sequence[Halt], group: list[int]) -> list[list[int]]:
+def _parts(halts: Sequence[Stop], group: list[int]) -> list[list[int]]:
     """Return the passes of a group: a new one begins where the table turns, or comes again."""
     parts, seen = [group[:1]], {halts[group[0]].number}
     for k in group[1:]:
@@ -161,13 +161,13 @@ def _parts(halts: Sequence[Halt], group: list[int]) -> list[list[int]]:
     return parts
 
 
-def _is_down(halts: Sequence[Halt], part: Sequence[int]) -> bool:
+def _is_down(halts: Sequence[Stop], part: Sequence[int]) -> bool:
     """Return whether a pass goes down; one halt alone counts as up."""
     ends = [halts[k].angle for k in part[:2]]
     return remainder(ends[-1] - ends[0], TURN) < 0.0
 
 
-def _are_whole(halts: Sequence[Halt], parts: Sequence[Sequence[int]]) -> bool:
+def _are_whole(halts: Sequence[Stop], parts: Sequence[Sequence[int]]) -> bool:
     """Return whether several passes have all angles, but for that at which the table turned.
 
     One halt alone may close them.
@@ -184,7 +184,7 @@ def _are_whole(halts: Sequence[Halt], parts: Sequence[Sequence[int]]) -> bool:
     return True
 
 
-def _ambiguous(halts: Sequence[Halt], group: Sequence[int], where: str) -> DataError:
+def _ambiguous(halts: Sequence[Stop], group: Sequence[int], where: str) -> DataError:
     visits = Counter(halts[k].number for k in group)
     number, _ = visits.most_common(1)[0]
     at = [halts[k] for k in group if halts[k].number == number]

@@ -44,11 +44,15 @@ async function send(role, file) {
   await understand();
 }
 
-async function methodOfTheTable() { // one method alone may fit, and a person may have chosen
-  const { methods } = await work("fit");
-  if (methods?.length !== 1 || desk.typed.has("method") || methods[0] === by("method").value) return;
-  by("method").value = methods[0];
-  await form();
+async function methodOfTheTable() { // several may fit, and a person may have chosen
+  const { methods = [] } = await work("fit");
+  if (methods.length && !desk.typed.has("method") && !methods.includes(by("method").value)) {
+    by("method").value = methods[0];
+    await form();
+  }
+  const others = [...by("method").options].filter(({ value, selected }) => !selected && methods.includes(value));
+  const titles = others.map((option) => option.text).join("; ");
+  text("method_fits", titles && t("The columns also fit: {0}", titles));
 }
 
 export function dropping(event) {

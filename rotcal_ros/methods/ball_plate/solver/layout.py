@@ -262,17 +262,17 @@ class PlateLayout:
         problem, x = self.problem, x[: self.unknowns]
         ball, cmm, axis, shift = (o.times(x).reshape(-1, 3) for o in self.others.values())
         moved, turn = ((rows @ x).reshape(-1, 3) for rows in self._of_table)
-        yaw = rotation_about_z(axis[:, 2])[self.group[2]][self.ball]
+        of_table, of_cmm, of_ball = self.group
+        yaw = rotation_about_z(axis[:, 2])[of_ball]
         places = problem.radius * on_circle(problem.angles[self.ball_steps]) + ball
-        places = (yaw @ places[self.ball][:, :, None])[:, :, 0]
+        places = _turned(yaw, places)[self.ball]
+        tilt = rotation_from_vector(axis * [1.0, 1.0, 0.0])
         table = rotation_from_vector(turn * [1.0, 1.0, 0.0])
         table = table @ rotation_about_z(problem.angles[self.table_steps] + turn[:, 2])
-        there = (table[self.at] @ places[:, :, None])[:, :, 0]
-        there = there + moved[self.at] + cmm[self.cmm]
-        group = self.group[0][self.at]
-        tilt = rotation_from_vector(axis * [1.0, 1.0, 0.0])[group]
-        there = (tilt @ there[:, :, None])[:, :, 0] + shift[group]
-        return np.asarray((self.radial @ there[:, :, None])[:, :, 0])
+        table, moved = tilt[of_table] @ table, _turned(tilt[of_table], moved) + shift[of_table]
+        there = _turned(table[self.at], places) + moved[self.at]
+        there += _turned(tilt[of_cmm], cmm)[self.cmm]
+        return _turned(self.radial, there)
 
     def neglected(self, x: Floats) -> float:
         """Return what centres without noise leave of any coordinate, m: no less is noise.
@@ -361,6 +361,11 @@ class PlateLayout:
         if kernel is None or kernel.directions.shape[1] != FREE * self.groups:
             raise ObservabilityError("these balls and CMM positions do not separate the errors")
         return ConstrainedKernel.of(kernel, self.definitions)
+
+
+def _turned(rotations: Floats, points: Floats) -> Floats:
+    """Return ``points`` (m, 3) turned by a rotation (m, 3, 3) each."""
+    return np.asarray(np.einsum("mij,mj->mi", rotations, points))
 
 
 def _blocks(values: Floats, columns: Ints, unknowns: int) -> csr_array:

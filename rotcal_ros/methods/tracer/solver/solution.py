@@ -70,9 +70,8 @@ from rotcal_ros.methods.tracer.solver.turning import (
     TurningRuns,
     in_time,
     scatter_beside_low_orders,
-    series_of,
 )
-from rotcal_ros.methods.tracer.solver.vibration import Line, vibration_lines
+from rotcal_ros.methods.tracer.solver.turning_report import TurningReport
 
 SLIPS_FOUND: Final = noted(
     "{0} is found in {1:.0f} % of the cases, by these lengths in this order; the uncertainty "
@@ -218,16 +217,10 @@ class TracerSolution:
         return x if self.in_time is None else np.asarray(self.in_time.places @ x)
 
     @cached_property
-    def vibration(self) -> tuple[Line, ...]:
-        """The lines in what the lengths of a table that turned leave over, the largest ones."""
-        lengths, k = self.lengths, len(self.lengths.row)
-        if lengths.speed is None:
-            return ()
-        # weighed by noise in time, both directions leave the same differently
-        fit = self.found.fit if self.in_time is None else self.in_time.first
-        left = np.where(fit.used[:k], fit.residual[:k], np.nan)
-        series = series_of(lengths, self.problem.earlier[lengths.row])
-        return vibration_lines(lengths, series, left, fit.redundancy[:k])
+    def turns(self) -> TurningReport:
+        """What is known of a table that turned."""
+        again = self.problem.earlier[self.lengths.row]
+        return TurningReport(self.lengths, again, self.found, self.in_time)
 
     @cached_property
     def stations(self) -> Floats:
@@ -390,7 +383,7 @@ def _turned(
             scatter_beside_low_orders(runs, lengths.angles, first.fit.residual[rows]), ROUND
         )
         model = posed.model(replace(supposed, other=(other, other)))
-        first = replace(first, model=model, start=first.fit.x).as_likely
+        first = replace(first, model=model, start=first.fit.x).with_likely_scatter
     return in_time(first, lengths, posed.problem.earlier[lengths.row], limits)
 
 

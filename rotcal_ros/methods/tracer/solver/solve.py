@@ -22,7 +22,7 @@ from rotcal_ros.foundation.results import (
     Result,
     Zeros,
 )
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import LATER_RUN
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, printed_scatter
 from rotcal_ros.methods.tracer.solver.observability import (
@@ -43,7 +43,6 @@ from rotcal_ros.methods.tracer.solver.reporting import (
     target_corrections,
 )
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
-from rotcal_ros.methods.tracer.solver.turning import details_of_turns, remarks_of_turns
 
 CIRCLE_SHOWS: Final = noted(
     "{0:.2g} m from {1} residuals of the circle, which show its radial part; the tangential part "
@@ -69,12 +68,6 @@ NO_DEVIATION: Final = noted("no deviation for station(s) {0}: too few usable len
 IN_ONE_PLANE: Final = noted(
     "all targets lie in one plane, so the tracer could stand on either side of it: the lower "
     "side was taken; give start_stations to choose the other"
-)
-
-VIBRATES: Final = noted(
-    "the lengths hold a line at order {0:.4g} ({1:.3g} Hz) of {2:.2g} um at {3:g} deg/s, which no "
-    "noise explains: were it as large along the tracer's circle, ECC would hold {4:.2g} arcsec of "
-    "it"
 )
 
 METHOD = "tracer_multistation"
@@ -238,13 +231,7 @@ def _remarks(solution: TracerSolution) -> Iterator[Phrase]:
         yield phrase(JOINED, run, steps, offset, std, apart, sigma0)
     if solution.reported is not None and solution.reported.warning:
         yield solution.reported.warning
-    yield from remarks_of_turns(solution.lengths, solution.problem.lag, solution.in_time)
-    if solution.vibration:
-        line = solution.vibration[0]
-        yield phrase(
-            VIBRATES, line.order, line.frequency, line.amplitude / MICROMETRE, line.speed / DEGREE,
-            line.amplitude / solution.motion.radius / ARCSEC
-        )  # fmt: skip
+    yield from solution.turns.remarks(solution.problem.lag, solution.motion.radius)
 
 
 def _joins(solution: TracerSolution) -> list[dict[str, Any]]:
@@ -263,7 +250,7 @@ def _joins(solution: TracerSolution) -> list[dict[str, Any]]:
         variance = float(fit.kernel.times(unit)[begin + k, 0])
         again = (lengths.later == k) & (problem.earlier[lengths.row] > 0)
         rows = np.flatnonzero(again & used)
-        values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.among(rows))
+        values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.hat_block(rows))
         seen = values > 1e-6
         squares = float(((ways.T @ fit.white[rows])[seen] ** 2 / values[seen]).sum())
         dof = int(seen.sum())
@@ -324,15 +311,8 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         "returned": _returned(solution),
         **({} if solution.reported is None else {"reported_places": asdict(solution.reported)}),
         **({} if problem.run is None else {"joins": _joins(solution)}),
-        **_of_turns(solution),
+        **solution.turns.details(),
     }
-
-
-def _of_turns(solution: TracerSolution) -> dict[str, Any]:
-    """Return what is known of a table that turned, with the ``lines`` of vibration."""
-    known = details_of_turns(solution.lengths, solution.found, solution.in_time)
-    lines = [asdict(line) for line in solution.vibration]
-    return {name: each | {"lines": lines} for name, each in known.items()}
 
 
 def circle_details(motion: TableMotion, stations: Floats, angles: Floats) -> dict[str, Any]:
@@ -381,6 +361,7 @@ def _protections(solution: TracerSolution) -> Iterator[Protection]:
     """Yield the statements that the engine cannot make."""
     motion, arrivals = solution.error_motion, _arrivals(solution)
     yield _error_motion(solution)
+    yield from solution.turns.protections()
     hidden = None if motion.estimated else _hidden_motion(solution)
     yield Protection(
         "tilt", "estimated" if motion.estimated else "tested",

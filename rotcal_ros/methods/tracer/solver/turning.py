@@ -23,10 +23,10 @@ spoiled by W alike; where a length is missing, W goes on with what the solution 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.linalg import solve_banded, solve_toeplitz
@@ -42,7 +42,6 @@ from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.robust_start import NORMAL_QUARTILE
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.methods.tracer.solver.carried_lengths import LAG, CarriedLengths
 
 MOTION: Final = "motion"
@@ -344,55 +343,6 @@ def in_time(
     if found.independent:
         return adjusted(replace(first.model, start=first.fit.x), limits), None
     return adjusted(found.model(first.model), limits), found
-
-
-def remarks_of_turns(
-    lengths: CarriedLengths, lag: float | None, noise: TimeCorrelatedLengths | None
-) -> Iterator[Phrase]:
-    """Yield what a table that turned leaves open, and how its ``noise`` hangs together in time.
-
-    ``lag`` (s) as stated; nothing is yielded of a table that stood.
-    """
-    if lengths.speed is None:
-        return
-    speeds = TurningRuns.of(lengths).speed
-    if lag is None and len(speeds) == 2 and speeds.prod() < 0.0:
-        yield phrase(
-            "the mean reversal is zero by definition: at one speed and back nothing tells it from "
-            "the lag of the table's feedback; turn at a second speed, or state solver.lag_s"
-        )
-    if noise is not None:
-        shares = {each.independent: None for each in noise.noise}
-        words = ", ".join(f"{100.0 * share:.0f} %" for share in shares)
-        yield phrase(
-            "the noise of the lengths is correlated from angle to angle: for what changes slowly "
-            "with it they count as {0} of their number", words
-        )  # fmt: skip
-
-
-def details_of_turns(
-    lengths: CarriedLengths, found: Adjusted, noise: TimeCorrelatedLengths | None
-) -> dict[str, Any]:
-    """Return, of a table that turned, speeds (r,) rad/s, noise in time, and the lag (s).
-
-    ``autoregression``: coefficients of each run, on the lengths of the angles before;
-    ``independent``: the share of them that counts for slow changes.
-    """
-    fit = found.fit
-    if lengths.speed is None:
-        return {}
-    unit = np.eye(1, len(fit.x), lengths.first[LAG]).T
-    variance = float(fit.kernel.times(unit)[lengths.first[LAG], 0])
-    each = [] if noise is None else noise.noise
-    return {
-        "turning": {
-            "speeds": TurningRuns.of(lengths).speed,
-            "lag": float(fit.x[lengths.first[LAG]]),
-            "lag_std": found.scale * float(np.sqrt(variance)),
-            "autoregression": [run.ahead[-1] for run in each],
-            "independent": [run.independent for run in each],
-        }
-    }
 
 
 def with_unknown_motion(

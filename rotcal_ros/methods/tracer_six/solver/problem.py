@@ -51,7 +51,8 @@ class SixProblem(LengthProblem):
     ``scatter_translation_std`` (m) and ``scatter_rotation_std`` (rad): how differently the table
     arrives at the same angle, run by run; zero: known to repeat; None: estimated. ``arrival``
     (k,): numbers that distinguish the arrivals at one angle in one run; lengths of different
-    arrivals have their own scatter. ``tilt_std`` (rad): prior knowledge of EAC and EBC, which two
+    arrivals have their own scatter. Where the table turns, they tell how often the same length was
+    measured before. ``tilt_std`` (rad): prior knowledge of EAC and EBC, which two
     places, or three in a line, need. Without ``order`` run follows run and angle follows angle.
     ``slip`` 0: no jump of a zero is searched for.
 
@@ -94,7 +95,9 @@ class SixProblem(LengthProblem):
     @cached_property
     def _stations(self) -> tuple[Ints, Ints]:
         """Place, position and arrival of each station (v, 3), and the station of each row (k,)."""
-        arrival = np.zeros_like(self.place) if self.arrival is None else self.arrival
+        arrival = self.arrival
+        if arrival is None or self.speed is not None:  # a table that passes does not arrive
+            arrival = np.zeros_like(self.place)
         columns = np.column_stack([self.place, self.position, arrival])
         stations, row = np.unique(columns, axis=0, return_inverse=True)
         return stations, row.ravel()

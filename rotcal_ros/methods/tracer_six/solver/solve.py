@@ -44,7 +44,7 @@ from rotcal_ros.adjust.model import (
 )
 from rotcal_ros.adjust.observable import observe_columns
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
@@ -84,11 +84,10 @@ from rotcal_ros.methods.tracer.solver.reporting import (
 )
 from rotcal_ros.methods.tracer.solver.turning import (
     TimeCorrelatedLengths,
-    details_of_turns,
     in_time,
-    remarks_of_turns,
     tie_runs_of_table,
 )
+from rotcal_ros.methods.tracer.solver.turning_report import TurningReport
 from rotcal_ros.methods.tracer_six.solver.poses import (
     Curves,
     StartPoses,
@@ -424,6 +423,17 @@ class SixSolution:
         return np.asarray((moved - self.curves.table_origin) @ self.curves.table_turn)
 
     @property
+    def radius(self) -> float:
+        """The mean distance, m, of the places from the axis."""
+        return float(np.hypot(*self.places[:, :2].T).mean())
+
+    @cached_property
+    def turns(self) -> TurningReport:
+        """What is known of a table that turned."""
+        again = self.problem.earlier[self.lengths.row]
+        return TurningReport(self.lengths, again, self.found, self.in_time)
+
+    @property
     def targets(self) -> Floats:
         """The targets (n, 3), m."""
         return np.asarray(self.lengths.targets + self.part("target"))
@@ -549,7 +559,7 @@ def result_of(solution: SixSolution) -> Result:
         further=False,
     )
     verdict, warnings = upward.judged(*numbering.judged(plain.verdict, plain.warnings))
-    warnings = (*warnings, *remarks_of_turns(lengths, problem.lag, solution.in_time))
+    warnings = (*warnings, *solution.turns.remarks(problem.lag, solution.radius))
     if reported is not None and reported.warning:
         warnings = (*warnings, reported.warning)
 
@@ -632,6 +642,7 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
                     "stated; {0} contrasts between the places show more of it", sizes.contrasts
                 ),
             )
+    yield from solution.turns.protections()
     if problem.speed is not None:
         yield Protection(
             "repeatability",
@@ -641,23 +652,23 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
                 "repeat joins the scatter of the lengths"
             ),
         )
-    radius = float(np.hypot(*solution.places[:, :2].T).mean())
     yield tangential_protection(
-        radius,
+        solution.radius,
         alike=phrase(", by the same at every place,"),
         of=phrase(" of ECC"),
         beside=phrase("what differs from place to place is scatter"),
-        within=_returned(solution, radius),
+        within=_returned(solution),
         shown=phrase("angles that were measured again"),
         untested=phrase("it"),
     )
 
 
-def _returned(solution: SixSolution, radius: float) -> float | None:
+def _returned(solution: SixSolution) -> float | None:
     """Return within how many m the tracer came back along its circle, 95 %; None: untested.
 
     Seen by an angle that comes again, after a whole turn or in the same run, whichever says less.
     """
+    radius = solution.radius
     closings = [c for c in solution.found.closed if c.relation.what.startswith("ECC ")]
     each = [(radius * c.error[0], radius * c.std[0]) for c in closings]
     layout, lengths, fit = solution.layout, solution.lengths, solution.found.fit
@@ -705,13 +716,8 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "coverage_factor": HALF_OF_95_PERCENT,
         "covariance_scale": found.scale,
         **({} if reported is None else {"reported_places": asdict(reported)}),
-        **details_of_turns(lengths, found, solution.in_time),
+        **solution.turns.details(),
     }
-
-
-def _used(solution: SixSolution) -> Bools:
-    """Return which lengths (k,) are used."""
-    return solution.found.fit.used[: len(solution.lengths.row)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -731,7 +737,8 @@ class SteepestBeams:
         """Return that of all lengths that were used, in the stated frame."""
         lengths = solution.lengths
         beam = solution.targets[lengths.target] - lengths.stands(solution.unknowns)[0]
-        rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[_used(solution)]
+        used = solution.found.fit.used[: len(beam)]
+        rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[used]
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))
 
     def judged(
