@@ -367,7 +367,7 @@ def _turns(
         found = configuration.method.of_turns(configuration, streams, str(asked.path))
     except DataError as error:
         verdicts = [scan.verdict() for scan in contents.scans]
-        damage = next((f"{v.path.name}: {v.sentence()}" for v in verdicts if not v.whole), "")
+        damage = next((f"{v.path.name}: {v.describe()}" for v in verdicts if not v.whole), "")
         raise DataError(f"{error}; {damage}") if damage else error from error
     offsets = [feeder.offset] * len(found.observations)
     return found.calibration, apply_clock_limit(found.observations, offsets, ()), feeder
