@@ -61,7 +61,7 @@ from rotcal_tables.sheets.layout import (
 )
 from rotcal_tables.sheets.numerals import Measure, decimal_marks, parse_measure, to_si
 from rotcal_tables.sheets.passes import (
-    Stop,
+    TableStop,
     assign_passes,
     close_full_turns,
     has_repeated_angles,
@@ -577,30 +577,30 @@ class _Rows:
         """
         known = self._known.get("position", Known())
         at = [k for k, (_, row) in enumerate(rows) if not _is_nest(row)]
-        halts = close_full_turns([self._halt(*rows[k], self._angle(rows[k], mark)) for k in at])
-        angles = _distinct(known.angles) if known.angles else self._own_angles(halts)
+        stops = close_full_turns([self._stop(*rows[k], self._angle(rows[k], mark)) for k in at])
+        angles = _distinct(known.angles) if known.angles else self._own_angles(stops)
         if not known.angles:
             self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in angles)
         planned = known.angles or self._settings.angles == "plan"
         near = self._near(angles) if planned else READ_OUT
-        halts = [replace(halt, number=self._nearest(halt, angles, near)) for halt in halts]
-        off = max((abs(remainder(h.angle - angles[h.number], 2 * pi)) for h in halts), default=0.0)
+        stops = [replace(stop, number=self._nearest(stop, angles, near)) for stop in stops]
+        off = max((abs(remainder(h.angle - angles[h.number], 2 * pi)) for h in stops), default=0.0)
         if off > _SAME_ANGLE:
             self._remarks.append(
                 phrase("table angles are off by up to {0} degrees", f"{off / DEGREE:.2g}")
             )
-        found = self._visits(halts, angles, known)
+        found = self._visits(stops, angles, known)
         self._remarks.append(phrase("positions by their angles"))
         numbers = dict(zip(at, found, strict=True))
         return [str(numbers.get(k, "")) for k in range(len(rows))]
 
-    def _own_angles(self, halts: Sequence[Stop]) -> tuple[float, ...]:
+    def _own_angles(self, stops: Sequence[TableStop]) -> tuple[float, ...]:
         """Return the different angles of a table that no plan knows, ascending (rad).
 
         Some that are apart by more than the noise of a read-out, and far from all others, may be
         one: it is asked, unless ``sheet.angles`` says table, or plan for one.
         """
-        read = [halt.angle for halt in halts]
+        read = [stop.angle for stop in stops]
         angles, fewer = _distinct(read, READ_OUT), _distinct(read, _CLOSE * READ_OUT)
         alone = _smallest_step(fewer) > _CLOSE**2 * READ_OUT
         if len(fewer) == len(angles) or not alone or self._settings.angles == "table":
@@ -608,7 +608,7 @@ class _Rows:
         if self._settings.angles == "plan":
             return fewer
         first, second = next((a, b) for a, b in pairwise(angles) if b - a <= _CLOSE * READ_OUT)
-        row = next(halt.row for halt in halts if halt.angle == second)
+        row = next(stop.row for stop in stops if stop.angle == second)
         off = f"{first / DEGREE:.6g} and {second / DEGREE:.6g} degrees"
         raise undecided(
             f"{self._path}, row {row}: the table angles {off} differ by more than the noise of a "
@@ -629,17 +629,17 @@ class _Rows:
         angles = _distinct(known.angles)
         if not (beside and all(numbers) and max(map(int, numbers)) < len(angles)):
             return numbers
-        halts = [
-            self._halt(*row, known.angles[int(n)]) for row, n in zip(rows, numbers, strict=True)
+        stops = [
+            self._stop(*row, known.angles[int(n)]) for row, n in zip(rows, numbers, strict=True)
         ]
-        halts = [replace(halt, number=self._nearest(halt, angles, pi)) for halt in halts]
-        return [str(position) for position in self._visits(halts, angles, known)]
+        stops = [replace(stop, number=self._nearest(stop, angles, pi)) for stop in stops]
+        return [str(position) for position in self._visits(stops, angles, known)]
 
     def _angle(self, row: _Row, mark: str) -> float:
         number, cells = row
         return float(self._in_si((number, *cells[TABLE_ANGLE]), TABLE_ANGLE, ANGLE, mark))
 
-    def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> Stop:
+    def _stop(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> TableStop:
         """Return that the table stood at ``angle`` (rad) for a row; its number is open yet."""
         keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
         texts = {name: cell_text(cell) for name, (cell, _) in row.items()}
@@ -647,55 +647,55 @@ class _Rows:
         down = is_descending(way)
         what = tuple(folded(texts[name]) for name in keys)
         run = texts.get(RUN, "")
-        return Stop(number, angle, 0, what, run, down, way if down is None else "")
+        return TableStop(number, angle, 0, what, run, down, way if down is None else "")
 
-    def _nearest(self, halt: Stop, angles: Sequence[float], near: float) -> int:
-        """Return which of the angles a halt is at, the one of its own turn if there are several.
+    def _nearest(self, stop: TableStop, angles: Sequence[float], near: float) -> int:
+        """Return which of the angles a stop is at, the one of its own turn if there are several.
 
         Raises DataError where it is farther than ``near`` from all.
         """
-        off = [abs(remainder(halt.angle - other, 2.0 * pi)) for other in angles]
-        best = min(range(len(off)), key=lambda k: (off[k] > near, abs(halt.angle - angles[k])))
+        off = [abs(remainder(stop.angle - other, 2.0 * pi)) for other in angles]
+        best = min(range(len(off)), key=lambda k: (off[k] > near, abs(stop.angle - angles[k])))
         if off[best] > near:
             nearest = angles[min(range(len(off)), key=off.__getitem__)]
-            raise self._other_angles(halt.row, halt.angle, nearest)
+            raise self._other_angles(stop.row, stop.angle, nearest)
         return best
 
     def _visits(
-        self, halts: Sequence[Stop], angles: Sequence[float], known: Known
+        self, stops: Sequence[TableStop], angles: Sequence[float], known: Known
     ) -> Sequence[int]:
-        """Return the position of each halt at ``angles``: by its pass, where a plan comes again.
+        """Return the position of each stop at ``angles``: by its pass, where a plan comes again.
 
         Rows in the order of the plan are its steps. Without a plan a position is the number of its
         angle, and the passes are noted.
         """
         if not known.angles:
-            if has_repeated_angles(halts):
-                self._require_one_kind(halts)
-                self._passes(halts)
-            return [halt.number for halt in halts]
+            if has_repeated_angles(stops):
+                self._require_one_kind(stops)
+                self._passes(stops)
+            return [stop.number for stop in stops]
         numbers = [min(range(len(angles)), key=lambda k: abs(angles[k] - angle))
                    for angle in known.angles]  # fmt: skip
-        if [numbers[position] for position in known.order] == [halt.number for halt in halts]:
+        if [numbers[position] for position in known.order] == [stop.number for stop in stops]:
             return known.order
         if len(numbers) == len(angles):
-            return [numbers.index(halt.number) for halt in halts]
+            return [numbers.index(stop.number) for stop in stops]
         positions, runs = dict[tuple[int, int, bool], int](), Counter[tuple[int, bool]]()
         for position, number in enumerate(numbers):
             down = position in known.downward
             positions[number, runs[number, down], down] = position
             runs[number, down] += 1
-        found = self._passes(halts, both=bool(known.downward))
+        found = self._passes(stops, both=bool(known.downward))
         if self._both_directions and not known.downward:
             raise DataError(
                 f"{self._path}: the table goes up and down through its angles, the plan up only: "
                 "set plan.bidirectional=true"
             )
-        ways = [(halt.number, run, down and bool(known.downward))
-                for halt, (run, down) in zip(halts, found, strict=True)]  # fmt: skip
+        ways = [(stop.number, run, down and bool(known.downward))
+                for stop, (run, down) in zip(stops, found, strict=True)]  # fmt: skip
         return [positions.get(way, positions[way[0], 0, way[2]]) for way in ways]
 
-    def _require_one_kind(self, halts: Sequence[Stop]) -> None:
+    def _require_one_kind(self, stops: Sequence[TableStop]) -> None:
         """Raise a question where words of no known column part what was measured at one angle.
 
         They may be those of several axes, or of a reading that its program holds for bad.
@@ -703,10 +703,10 @@ class _Rows:
         rows, aside = dict(self._layout.sheet.rows), {*self._layout.aside}
         for text, place in zip(self._layout.head, self._layout.places, strict=True):
             kinds = dict[tuple[object, ...], dict[str, int]]()
-            for halt in halts if text in aside else ():
-                cell = cell_text((*rows[halt.row], *[""] * (place + 1))[place])
+            for stop in stops if text in aside else ():
+                cell = cell_text((*rows[stop.row], *[""] * (place + 1))[place])
                 if cell and not is_number(cell):
-                    kinds.setdefault((halt.what, halt.number), {}).setdefault(cell, halt.row)
+                    kinds.setdefault((stop.what, stop.number), {}).setdefault(cell, stop.row)
             words = dict.fromkeys(word for at in kinds.values() for word in at)
             parted = next((at for at in kinds.values() if len(at) > 1), {})
             if parted and len(words) <= _KINDS and NOTHING not in self._settings.named():
@@ -721,10 +721,10 @@ class _Rows:
                     ],
                 )
 
-    def _passes(self, halts: Sequence[Stop], *, both: bool = False) -> list[Pass]:
-        """Return the passes of the halts, and note how many runs they are."""
-        halts = resolve_directions(halts, self._settings.up, str(self._path))
-        found = assign_passes(halts, str(self._path), both=both)
+    def _passes(self, stops: Sequence[TableStop], *, both: bool = False) -> list[Pass]:
+        """Return the passes of the stops, and note how many runs they are."""
+        stops = resolve_directions(stops, self._settings.up, str(self._path))
+        found = assign_passes(stops, str(self._path), both=both)
         self._found = tuple(found)
         runs = self._runs = 1 + max(run for run, _ in found)
         ways = self._both_directions = len({down for _, down in found}) == 2
