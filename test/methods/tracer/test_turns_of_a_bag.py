@@ -183,4 +183,5 @@ def test_of_a_list_of_angles_it_is_asked_which_one_is_the_tables(scene, tmp_path
     ):
         MeasurementInput(bag, setup(scene, tmp_path, PLAIN)).read()
     second = PLAIN.replace("at,", "at.1,")
-    assert_true(scene, MeasurementInput(bag, setup(scene, tmp_path, second)).read())
+    measured = MeasurementInput(bag, setup(scene, tmp_path, second)).read()
+    assert_true(scene, measured, 2e-9)
