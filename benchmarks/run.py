@@ -47,11 +47,11 @@ def raced(row: dict[str, Any]) -> list[str]:
 
 
 def seconds(value: float | None) -> str:
-    """Return a time with two digits."""
+    """Return a time with three digits."""
     if value is None:
         return ""
     size, unit = next(x for x in ((1.0, "s"), (1e-3, "ms"), (1e-6, "us")) if value >= x[0])
-    return f"{value / size:.2g} {unit}"
+    return f"{value / size:.3g} {unit}"
 
 
 def main() -> None:
