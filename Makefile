@@ -20,7 +20,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-all test-aids test-kilted docs reproduce bench power yardstick data-set mutants fuzz soak endurance lint release compare-release setup clean help
+.PHONY: demo resume test test-all test-aids test-kilted docs reproduce bench speed power yardstick data-set mutants fuzz soak endurance lint release compare-release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -51,6 +51,12 @@ reproduce: setup  ## compute the papers' tables, figures and claims again: docs/
 
 bench: setup  ## compare speed with well-known alternatives, side by side
 	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json
+
+speed: setup  ## race every solver against its strongest peers: docs/speed.md
+	@$(BIN)/python -c 'import jax, pyceres' 2>/dev/null || $(BIN)/pip install -q \
+		--disable-pip-version-check -c constraints.txt -e '.[peers]'
+	@$(BIN)/python benchmarks/run.py --csv research/figures/speed.csv tracer tracer_six ball_plate \
+		plane_mirror table_balls two_circles monte_carlo policy
 
 power: setup  ## what could be wrong, and would the verdict say so? docs/what_could_be_wrong.md
 	@$(BIN)/python research/power_table.py $(POWER_ARGS)

@@ -119,6 +119,7 @@ setup(
         "build-kilted": ["ros-ament-cmake-ros-core"],
         "docs": ["mkdocs", "mkdocs-click", "mkdocs-material"],
         "release": ["build", "cyclonedx-bom"],
+        "peers": ["jax", "pyceres"],
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
             "Babel",

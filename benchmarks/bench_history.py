@@ -69,7 +69,7 @@ def add_all(history: ParkHistory) -> None:
     """Add all results, so many at once as ``rotcal history add`` of files."""
     every = results()
     while group := list(islice(every, AT_ONCE)):
-        with history.together():
+        with history.transaction():
             for each in group:
                 history.add_result(each)
 

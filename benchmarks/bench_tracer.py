@@ -2,8 +2,8 @@
 
 ``rows()`` yields one measurement each. Both sides run alternately; the least processor time of
 each counts. Beside scipy's own the opponents are the strongest that are known: for the stations a
-batched Gauss-Newton, also compiled by JAX where that is installed (pip install jax), for the
-network a few lines of Gauss-Newton with a sparse Jacobian.
+batched Gauss-Newton, also compiled by JAX, for the network a few lines of Gauss-Newton with a
+sparse Jacobian, and Ceres; JAX and Ceres where they are installed (extra ``peers``).
 """
 
 import os
@@ -98,11 +98,17 @@ def joint(datum: str, m: int = 6, n: int = 108) -> Iterator[Row]:
     target_std = TARGET_STD if datum == "prior" else None
     data = (grid.targets, grid.length, LENGTH_STD, target_std, float(radius))
     dense, sparse = DenseNetwork(*data), SparseNetwork(*data)
-    for label, opponent, repeats in (
+    opponents = [
         ("dense lm", dense.solve, 3),
-        ("sparse trf lsmr", sparse.solve, 2),
         ("sparse Gauss-Newton", sparse.gauss_newton, 15),
-    ):
+    ]
+    if target_std is not None:  # on the stiff rows of a free datum lsmr takes minutes
+        opponents.append(("sparse trf lsmr", sparse.solve, 2))
+    if target_std is not None and find_spec("pyceres") is not None:
+        from ceres_tracer import solve_network
+
+        opponents.append(("Ceres", partial(solve_network, *data[:4]), 5))
+    for label, opponent, repeats in opponents:
         a, b, difference = race(ours, lambda solve=opponent: solve(flat), (30, repeats))
         yield Row(f"joint {m} x {n}, {datum}, {label}", a, b, b / a, difference)
 

@@ -79,7 +79,7 @@ def main() -> None:
         took = time.monotonic() - began
         result = Result.from_dict(json.loads((Path(folder) / "out" / "result.json").read_text()))
     calibration = prepare_to_measure(changed(read_configuration(CONFIG), settings))
-    planned, _ = DryRun(calibration, calibration.plan.steps[0].table_angle).taking()
+    planned, _ = DryRun(calibration, calibration.plan.steps[0].table_angle).time_estimate()
     n = len(result.angles)
     centring = np.eye(n) - 1.0 / n
     std = np.sqrt((centring @ result.covariance["ECC"] @ centring).diagonal())

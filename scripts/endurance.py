@@ -6,7 +6,8 @@ All methods in turn, the table at rest and turning, under one trouble after the 
 changes, nodes that stand still, a node that is killed, a clock that jumps, a disk that is full for
 a while, a stranger who publishes. A session ends right when its verdict is ok and its result that
 of the quiet one, or when it says why not: a verdict with its reason, an error in one line. What
-was broken off is continued. No process may be left behind.
+was broken off is continued. A controller's table can be made of a result that is ok, and of no
+other. No process may be left behind.
 
 Each session is a line of out/endurance/sessions.jsonl, whose minutes add up until --hours. At the
 end: is memory, time and disk of the last sessions that of the first, and is the history of all
@@ -45,7 +46,8 @@ from jumping_clock import JumpingClock
 
 PLACE = ROOT / "out" / "endurance"
 LINES = PLACE / "sessions.jsonl"
-HISTORY = ("-m", "rotcal_ros.cli.main", "history", "--database", str(PLACE / "history.db"))
+ROTCAL = (sys.executable, "-m", "rotcal_ros.cli.main")
+HISTORY = ("history", "--database", str(PLACE / "history.db"))
 DEADLINE_S = 1200.0
 TABLE = ("identity.serial=endurance",)
 BEGUN_S = (8.0, 25.0)
@@ -53,6 +55,8 @@ BEGUN_S = (8.0, 25.0)
 FULL_S, DISK = 15.0, "200m"
 GROWTH = 1.2
 """Most that the last third of the sessions may need of what the first third needs."""
+REFUSED = 3
+"""Exit code of ``rotcal export`` where a verdict forbids the table."""
 Trouble = Callable[["Session"], None]
 
 
@@ -215,14 +219,18 @@ def calibrated(method: str, name: str, generator: random.Random) -> dict[str, An
                     quiet.write_bytes(result.read_bytes())
                 if quiet.exists():
                     found["difference"] = round(difference(quiet, result), 2)
-                added = subprocess.run(
-                    [sys.executable, *HISTORY, "add", str(result)], cwd=ROOT, capture_output=True,
-                    text=True, check=False,
-                )  # fmt: skip
+                added = rotcal(*HISTORY, "add", str(result))
                 found["in_history"] = added.returncode == 0
                 found |= {} if found["in_history"] else {"history_says": added.stderr[-200:]}
+                export = ("export", str(result), "--to", "csv", "--replace")
+                found["feed_code"] = rotcal(*export, "--out", str(place / "table")).returncode
         found["left_behind"] = len(session.left_behind() + calm.left_behind())
     return found
+
+
+def rotcal(*words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command of the program to its end."""
+    return subprocess.run((*ROTCAL, *words), cwd=ROOT, capture_output=True, text=True, check=False)
 
 
 def wrong(found: dict[str, Any]) -> str:
@@ -238,6 +246,8 @@ def wrong(found: dict[str, Any]) -> str:
         "ok and another result": verdict == "ok" and found.get("difference", 0.0) > MOST,
         "processes are left behind": found["left_behind"] > 0,
         "not in the history": verdict is not None and not found.get("in_history"),
+        "the feed and the verdict differ": found.get("feed_code", REFUSED)
+        != (0 if verdict == "ok" else REFUSED),
     }
     return "; ".join(text for text, is_so in faults.items() if is_so)
 
@@ -261,9 +271,7 @@ def summary(done: list[dict[str, Any]]) -> Iterator[str]:
             first, last = median(values[:third]), median(values[-third:])
             if third > 1 and last > GROWTH * first:
                 yield f"wrong: {what} grew from {first:.0f} to {last:.0f}"
-    check = subprocess.run(
-        [sys.executable, *HISTORY, "check"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    check = rotcal(*HISTORY, "check")
     kept = sum(found.get("in_history", False) for found in done)
     yield f"{'wrong: ' * (check.returncode != 0)}history of {kept}: {check.stdout.strip()[-120:]}"
     yield from (f"wrong: {f['method']}, {f['trouble']}: {w}" for f in done if (w := wrong(f)))

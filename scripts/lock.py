@@ -23,7 +23,7 @@ OLDEST_PYTHON = "3.10"
 TOOLS = ("setuptools", "uv", "wheel")
 """What sets up the environment itself, as the part `tools`."""
 DISTRIBUTIONS = ("jazzy", "kilted")
-NOT_INSTALLED = {"mutants", "release"}
+NOT_INSTALLED = {"mutants", "peers", "release"}
 """Extras that set-up never installs: they are asked for by hand."""
 _BLOCK = re.compile(r"(?m)^(?P<name>[\w.-]+)==[^\n]*(?:\n    (?:--hash|#)[^\n]*)*\n")
 _VIA = re.compile(r"#\s+(?:via\s+)?(\S+)")

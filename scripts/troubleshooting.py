@@ -23,7 +23,7 @@ GROUPS = (
         "nodes/table_adapter", "methods/simulat", "methods/added_errors",
     )),
     ("Bags, tables, replay", "recording.md#checking-and-repairing", (
-        "bags/", "recordings/", "foundation/column_map",
+        "bags/", "recordings/", "foundation/table_forms",
         "foundation/table", "rotcal_tables/sheets", "foundation/untrusted",
         "methods/measurements", "rotcal_history/fleet", "nodes/player", "cli/replay",
     )),

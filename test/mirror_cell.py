@@ -82,8 +82,8 @@ def measure(cell, deviations, noise=None, rng=None, **settings):
         places = reflector_places(stand.place, *put_up_for, cell.reflectors, REACH, edge)
         where = f"table at {angle / DEGREE:g} deg, tracker station {s}"
         for k, place in enumerate(places, start=1):
-            yield PointKind.DIRECT, k, stand.seen(place)
-            yield PointKind.MIRRORED, k, stand.seen(mirror.image(there, stand, place, where))
+            yield PointKind.DIRECT, k, stand.to_local(place)
+            yield PointKind.MIRRORED, k, stand.to_local(mirror.image(there, stand, place, where))
 
     return _problem(cell, see, cell.nests, noise, rng, settings)
 
@@ -97,7 +97,7 @@ def measure_direct(cell, deviations, reflectors, noise=None, rng=None, **setting
     def see(s, i):
         rotation, shift = table_pose(cell.angles[i], deviations[i])
         for k, reflector in enumerate(reflectors, start=1):
-            yield PointKind.DIRECT, k, cell.stations[s].seen(rotation @ reflector + shift)
+            yield PointKind.DIRECT, k, cell.stations[s].to_local(rotation @ reflector + shift)
 
     nests = cell.nests if len(cell.stations) > 1 else cell.nests[:0]
     return _problem(cell, see, nests, noise, rng, {"way": "direct", **settings})
@@ -123,7 +123,7 @@ def _problem(cell, see, nests, noise, rng, settings):
     for s, station in enumerate(cell.stations):
         for k, nest in enumerate(nests, start=1):
             rows.append((-1, s, PointKind.NEST, k))
-            points.append(station.seen(nest))
+            points.append(station.to_local(nest))
         for i in cell.visits[s]:
             for kind, k, point in see(s, i):
                 rows.append((i, s, kind, k))

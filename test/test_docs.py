@@ -53,7 +53,10 @@ def test_each_table_of_figures_is_shown_by_a_page():
         for page in PAGES
         for link in SITE["TABLE"].finditer(page.read_text())
     ]
-    assert sorted(shown) == sorted((ROOT / "research" / "figures").glob("*.csv"))
+    kept = chain.from_iterable(
+        (ROOT / "research" / folder).glob("*.csv") for folder in ("figures", "yardstick")
+    )
+    assert sorted(shown) == sorted(kept)
     for path in shown:
         head, rule, *rows = SITE["_table"](str(path.relative_to(ROOT))).splitlines()
         assert rule.split() == ["|", *["---", "|"] * (head.count("|") - 1)]

@@ -33,7 +33,7 @@ import sys
 from pathlib import Path
 from rotcal_ros.methods import prepare, read_configuration
 calibration = prepare(read_configuration(Path(sys.argv[1])))
-print(calibration.policy(calibration.from_the_start()).choose().reason)
+print(calibration.policy(calibration.first_run()).choose().reason)
 """
 
 

@@ -251,7 +251,7 @@ def test_a_lock_has_what_each_extra_needs_as_it_is_pinned(distribution, python, 
             assert versions[canonicalize_name(name)] == version
     others = {f"build-{other}" for other in SUPPORTED} - {f"build-{distribution}"}
     wanted = {"core": setup_py["install_requires"], **setup_py["extras_require"], **beside}
-    for part in wanted.keys() - {"mutants", "release", *others}:
+    for part in wanted.keys() - {"mutants", "peers", "release", *others}:
         named = {canonicalize_name(re.match(r"[\w.-]+", text)[0]) for text in wanted[part]}
         assert named <= {name for parts, name, _ in there if part in parts}, part
 

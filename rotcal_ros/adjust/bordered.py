@@ -97,7 +97,7 @@ class SparseDesign(Design):
         found = np.concatenate([self.few @ x[:p], self.known @ x[:p]])
         return np.asarray(found if self.extra is None else found + self.extra @ x[p:])
 
-    def adjoint(self, y: Floats) -> Floats:
+    def transpose_times(self, y: Floats) -> Floats:
         """Return the transposed design times ``y`` (n + m,) or (n + m, k)."""
         n = self.few.shape[0]
         first = self.few.T @ y[:n]
@@ -114,7 +114,7 @@ class SparseDesign(Design):
         found[which >= n] = self.known[which[which >= n] - n]
         return np.hstack([found, self.columns[which]])
 
-    def some_times(self, which: Ints, x: Floats) -> Floats:
+    def rows_times(self, which: Ints, x: Floats) -> Floats:
         """Return some rows times ``x`` (p + q, k)."""
         n, p = self.few.shape
         found = np.empty((len(which), x.shape[1]))
@@ -156,7 +156,7 @@ class SparseDesign(Design):
         return known if known is not None and known.fit(self.few) else Groups.of(self.few)
 
     @cached_property
-    def rough_first(self) -> bool:  # type: ignore[override]
+    def prefers_normal_equations(self) -> bool:  # type: ignore[override]
         """Whether the normal equations are solved in less time than a wide border."""
         (n, p), groups = self.shape, self.structure
         if groups is None or p > MOST_WHOLE:
@@ -357,11 +357,11 @@ class BorderedKernel(Kernel):
         _to_own(groups, found, self.inverse @ own.reshape(*groups.own.shape, -1))
         return np.asarray(found.reshape(-1, *white.shape[1:]))
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        return np.asarray(self.among_each(rows[None])[0][0])
+        return np.asarray(self.hat_blocks(rows[None])[0][0])
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         place, stacked = self._place[rows], self._stacked
         low, mine = self.low[place], place < stacked
@@ -413,7 +413,7 @@ class BorderedKernel(Kernel):
         beside = np.einsum("nr,nr,r->n", self.low, self.low, self._signs)
         return np.asarray((own + beside)[self._place])
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n + m) of each.
 
         Of blocks QQ' on the diagonal, and the low rank beside them.
@@ -430,13 +430,15 @@ class BorderedKernel(Kernel):
         found += (low * sign * sign[:, None]).reshape(c, -1) @ low.reshape(c, -1).T
         return np.asarray(found)
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
         """
         if _dense(outputs) or not np.array_equal(first, second):
-            return super().products_of(outputs, first, second, weight)
+            return super().output_products(outputs, first, second, weight)
         share = np.stack(
             [np.bincount(first, each, len(self._place)).astype(np.float64) for each in weight]
         )

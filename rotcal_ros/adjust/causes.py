@@ -76,10 +76,10 @@ def _with_scatter(whole: Diagnosis, explained: Diagnosis | None) -> Diagnosis:
     Before, it was weighed by a size that nobody would overlook, or as stated; what was
     ``explained`` so stays.
     """
-    diagnosis = (explained or whole).as_likely
+    diagnosis = (explained or whole).with_likely_scatter
     for judged in range(SCATTER_ROUNDS):
         fit, model = diagnosis.fit, diagnosis.model
-        sizes = [fit.sizes[each].weighing for each in model.scatterings]
+        sizes = [fit.sizes[each].median_size for each in model.scatterings]
         if not judged:
             sizes = _least_sizes(diagnosis, sizes)
         if explained and diagnosis.weighs(sizes):
@@ -111,7 +111,7 @@ def _least_sizes(diagnosis: Diagnosis, sizes: Sequence[float]) -> list[float]:
             chance, beside = each.beside(fit, errors)
             # an effect that reaches all contrasts leaves none that tell of the size
             if beside.contrasts and chance * among < limit:
-                found[k] = min(found[k], beside.weighing)
+                found[k] = min(found[k], beside.median_size)
     return found
 
 
@@ -127,7 +127,7 @@ def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:
         together = _explained(whole)
     except RotcalError:
         return apart  # gross errors in all directions let nothing settle
-    if not _same(apart, together) and apart.improbability < together.improbability - TIED:
+    if not _same(apart, together) and apart.bic < together.bic - TIED:
         return _contested_by(apart, together)
     return _contested_by(together, apart)  # it says what else may be wrong
 
@@ -140,7 +140,7 @@ def _same(first: Diagnosis, second: Diagnosis) -> bool:
 
 def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     """Return the ``best`` of two diagnoses, and that the ``other`` is possible where it is."""
-    apart, change = other.improbability - best.improbability, other.fit.value - best.fit.value
+    apart, change = other.bic - best.bic, other.fit.value - best.fit.value
     if apart >= 2.0 * np.log(ALIKE) or not best.fit.influenced(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
@@ -190,7 +190,7 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
     used = found.used
     taken_up = 1.0 - found.fit.redundancy[used]
     spread = 2.0 * taken_up @ np.log(found.noise.factors[found.model.of_component[used]])
-    if other.improbability < found.improbability - spread - 2.0 * np.log(ALIKE):
+    if other.bic < found.bic - spread - 2.0 * np.log(ALIKE):
         return other
     return found
 
@@ -271,7 +271,7 @@ def _together(diagnosis: Diagnosis) -> Diagnosis | None:
             if found is None or not _bearable(before, found):
                 continue
             other = before.holding(found)
-            if other.improbability <= diagnosis.improbability:
+            if other.bic <= diagnosis.bic:
                 return other
     return None
 
@@ -384,5 +384,5 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     part, information = fit.redundancy_between
     present = part.any(axis=1) & ~model.of_scatter
     mine = (part * np.sqrt(squares) * np.sign(fit.white)).T
-    average = mine.T @ fit.left_of(mine)
+    average = mine.T @ fit.residuals_of(mine)
     return NoiseEvidence(present, part @ squares, part @ redundancy, information, average)

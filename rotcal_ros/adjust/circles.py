@@ -254,7 +254,7 @@ class CircularDesign(Design):
         p = self.few.shape[1]
         return np.asarray(self.few @ x[:p] + self.extra @ x[p:])
 
-    def adjoint(self, y: Floats) -> Floats:
+    def transpose_times(self, y: Floats) -> Floats:
         """Return the transposed design times ``y`` (n,) or (n, k)."""
         return np.concatenate([self.few.T @ y, self.extra.T @ y])
 
@@ -272,7 +272,7 @@ class CircularDesign(Design):
         """Return some rows (r, p + q) as a whole."""
         return np.concatenate([self.few[which].toarray(), self.extra[which]], axis=1)
 
-    def some_times(self, which: Ints, x: Floats) -> Floats:
+    def rows_times(self, which: Ints, x: Floats) -> Floats:
         """Return some rows times ``x`` (p + q, k)."""
         p = self.few.shape[1]
         return np.asarray(self.few[which] @ x[:p] + self.extra[which] @ x[p:])
@@ -310,7 +310,7 @@ class CircularDesign(Design):
         return LowRankUpdateKernel.of(orders, plain, self.weight, changed, self.extra)
 
     @property
-    def rough_first(self) -> bool:  # type: ignore[override]
+    def prefers_normal_equations(self) -> bool:  # type: ignore[override]
         """Whether so many rows weigh otherwise than most that iteration is quicker."""
         odd = int(self.turns.shares(self.weight)[2].sum())
         return odd > FEW and not self.extra.shape[1]
@@ -351,7 +351,7 @@ class CircularDesign(Design):
         every = outputs.parts(self.shape[1])
         return np.concatenate([self._eliminated.squares(rows) for _, rows in every])
 
-    def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
+    def is_nearly_as_precise(self, other: Design, outputs: Outputs, factor: float) -> bool:
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
         if not self.large and self._eliminated is not None:
             return False
@@ -365,7 +365,7 @@ class CircularDesign(Design):
         least = mine.extremes[0] * others.orders.variances_of(outputs)
         return bool((bound <= (SURELY * factor) ** 2 * least).all())
 
-    def without_idle(self) -> CircularDesign:
+    def without_unused_columns(self) -> CircularDesign:
         """Return it without further unknowns that no row feels: they are none of the others."""
         return replace(self, extra=self.extra[:, self.extra.any(axis=0)])
 
@@ -488,7 +488,9 @@ class OrderwiseKernel(Kernel):
                 found += inside[first, a] * inside[second, b] * between
         return np.asarray(found)
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k). Rows at one place of
@@ -498,20 +500,20 @@ class OrderwiseKernel(Kernel):
         turns, (column, value), many = self.turns, outputs.entries, outputs.each
         size, place = turns.size, turns.place[first]
         if (place != turns.place[second]).any():
-            return super().products_of(outputs, first, second, weight)
+            return super().output_products(outputs, first, second, weight)
         beyond = ((column >= turns.circles * size) & (value != 0.0)).any(axis=1)
         if beyond.any():  # these read what is no place
             found = np.empty((len(outputs), len(weight)))
             some, rest = (outputs.part(np.flatnonzero(which)) for which in (beyond, ~beyond))
-            found[beyond] = super().products_of(some, first, second, weight)
-            found[~beyond] = self.products_of(rest, first, second, weight)
+            found[beyond] = super().output_products(some, first, second, weight)
+            found[~beyond] = self.output_products(rest, first, second, weight)
             return found
         circle, at = np.divmod(np.where(value != 0.0, column, column[:, :1]), size)
         a, b = (each.ravel() for each in np.indices((many, many)))
         both = np.stack([circle[:, a], circle[:, b], (at[:, b] - at[:, a]) % size], axis=-1)
         kinds, kind = np.unique(both.reshape(-1, 3), axis=0, return_inverse=True)
         if len(kinds) > MOST_KINDS:
-            return super().products_of(outputs, first, second, weight)
+            return super().output_products(outputs, first, second, weight)
         kind, by = kind.reshape(at[:, a].shape), value[:, a] * value[:, b]
         met, pair = np.unique([turns.turn[first], turns.turn[second]], axis=1, return_inverse=True)
         cell = pair.ravel() * size + place
@@ -595,7 +597,7 @@ class OrderwiseKernel(Kernel):
         found += carried @ outputs.share.T
         return np.asarray(found.T)
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         turn, place = self.turns.turn[rows], self.turns.place[rows].astype(np.int32)
         step = (place[:, None] - place) % np.int32(self.turns.size)
@@ -603,7 +605,7 @@ class OrderwiseKernel(Kernel):
             return np.asarray(self.between[turn[0], turn[0]][step])
         return np.asarray(self.between[turn[:, None], turn, step])
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         turn, place = self.turns.turn[rows], self.turns.place[rows]
         apart = (place - place[:, :1]) % self.turns.size
@@ -634,7 +636,7 @@ class OrderwiseKernel(Kernel):
         twice = orders.sum(axis=0) * 2.0 - orders[0]
         return np.asarray((twice if turns.size % 2 else twice - orders[-1]) / turns.size)
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
         turns = self.turns
         cell, whole = turns.turn * turns.size + turns.place, len(turns.sign) * turns.size
@@ -720,7 +722,7 @@ class EliminatedNormals:
 
     def solved(self, design: CircularDesign, read: Floats) -> Floats:
         """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened."""
-        asked, count = design.adjoint(read), len(self.own)
+        asked, count = design.transpose_times(read), len(self.own)
         left = asked[count:] - self.shared.T @ asked[:count]
         others = lapack.dpotrs(self.root, left, lower=1)[0]
         return np.append(asked[:count] / self.own - self.shared @ others, others)
@@ -765,7 +767,7 @@ class ConjugateGradients:
 
         None where the iteration does not converge.
         """
-        left = design.adjoint(read)
+        left = design.transpose_times(read)
         rounded = float(np.linalg.norm(design.lengths) * np.abs(read).max())
         enough = CONVERGED * max(float(np.linalg.norm(left)), rounded)
         found, way, before = np.zeros(len(left)), np.zeros(len(left)), 1.0

@@ -137,7 +137,7 @@ class Diagnosis:
         return self.fitted(self.noise.factors, self.start)
 
     @property
-    def as_likely(self) -> Diagnosis:
+    def with_likely_scatter(self) -> Diagnosis:
         """The same, with what scatters weighed by the size that its own solution makes likely.
 
         That of a solution which is weighed by other sizes may be far off: then derivatives are
@@ -145,7 +145,7 @@ class Diagnosis:
         """
         found = self
         for _ in range(SIZE_ROUNDS):
-            sizes = [found.fit.sizes[each].weighing for each in found.model.scatterings]
+            sizes = [found.fit.sizes[each].median_size for each in found.model.scatterings]
             if found.weighs(sizes):
                 break
             found = replace(found, model=found.model.scattered(sizes), start=found.fit.x)
@@ -163,7 +163,7 @@ class Diagnosis:
         return found
 
     @cached_property
-    def improbability(self) -> float:
+    def bic(self) -> float:
         """BIC: twice -ln of the probability, by which whole beliefs are compared.
 
         As in :meth:`Look._support`; an observation that waits outside is explained by itself.
@@ -202,7 +202,7 @@ class Diagnosis:
         return replace(here, why=self.why | reasons, gathering=gathering)
 
     @property
-    def open_contests(self) -> tuple[ContestedExplanation, ...]:
+    def unresolved_contests(self) -> tuple[ContestedExplanation, ...]:
         """The contests without rivals that were taken for true as well, later on."""
         taken = [e.what for e in self.nuisance]
         remaining = (
@@ -218,7 +218,7 @@ class Diagnosis:
 
     def possible(self) -> Iterator[Floats]:
         """Yield what is possible, (o + a, k) per unit normal each: rivals, and what is hidden."""
-        for best, rivals in self.open_contests:
+        for best, rivals in self.unresolved_contests:
             weight = np.exp([min(e.support - best.support, 0.0) for e in rivals])
             for share, e in zip(weight / (1.0 + weight.sum()), rivals, strict=True):
                 hidden = [] if e.hidden is None else [e.hidden]

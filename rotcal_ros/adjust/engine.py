@@ -461,7 +461,7 @@ class Adjusted:
         """
         scattering = {
             each.what: {
-                "size": sizes.weighing,
+                "size": sizes.median_size,
                 "contrasts": sizes.contrasts,
                 "none": float(sizes.weight[sizes.size == 0.0].sum()),
             }
@@ -574,12 +574,12 @@ def _doubts(found: Adjusted) -> Iterator[Phrase]:
         yield phrase(SCATTERS, phrase(model.components[k]), found.diagnosis.noise.factors[k])
     for each, sizes in found.fit.sizes.items():
         if each.stated is not None and sizes.probability < each.significance:
-            yield phrase(SCATTERS, phrase(each.what), sizes.weighing / each.stated)
+            yield phrase(SCATTERS, phrase(each.what), sizes.median_size / each.stated)
     if found.scale > 1.0:
         yield phrase(ENLARGED, found.scale)
     for e in found.found_effects:
         yield phrase(TAKEN_OFF, e.describe())
-    for best, rivals in found.diagnosis.open_contests:
+    for best, rivals in found.diagnosis.unresolved_contests:
         odds = [np.exp(max(best.support - e.support, 0.0)) for e in rivals]
         others = [
             phrase("that {0} (1 : {1:.2g})", e.what, o) for e, o in zip(rivals, odds, strict=True)
@@ -720,7 +720,7 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
         seen = np.maximum(values, needed / LARGEST**2)
         weight = ((ways * (needed / seen / len(each))[:, None]) @ ways.swapaxes(1, 2))[kind]
         first, second = np.repeat(alike, size, axis=1), np.tile(alike, (1, size))
-        found_of = fit.products_of(first.ravel(), second.ravel(), weight.reshape(1, -1))
+        found_of = fit.output_products(first.ravel(), second.ravel(), weight.reshape(1, -1))
         squares += found_of[: len(std), 0]
     squares = squares[counts] / std[counts] ** 2
     error = float(np.sqrt(squares.max(initial=0.0)))

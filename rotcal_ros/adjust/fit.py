@@ -94,7 +94,7 @@ class Fit:
         if self.by_form is not None:
             return self.by_form
         design = self._white_design
-        if design.rough_first and (found := _by_form(self.model, design)) is not None:
+        if design.prefers_normal_equations and (found := _by_form(self.model, design)) is not None:
             return found
         _require_told(self.model, design)
         return _whole(self.model, design)
@@ -195,7 +195,7 @@ class Fit:
 
         Of those not used, that of what others predict.
         """
-        among, kind = self.kernel.among_each(rows)
+        among, kind = self.kernel.hat_blocks(rows)
         found, left = np.eye(rows.shape[1]) - among, np.flatnonzero(~self.used[rows[:, 0]])
         if len(left):
             flat = rows[left].ravel()
@@ -242,7 +242,7 @@ class Fit:
         every = [(each, self.alone(each.rows)) for each in self.model.correlated]
         return [(alone, each.spread_of(self, alone)) for each, alone in every]
 
-    def in_common(self) -> list[tuple[Ints, Floats]]:
+    def correlated_rows(self) -> list[tuple[Ints, Floats]]:
         """Return rows (k,) with errors in common, and what independent ones do (o + a, k)."""
         every = zip(self.model.correlated, self._spread, strict=True)
         return [(each.rows, spread) for each, (_, spread) in every]
@@ -277,7 +277,7 @@ class Fit:
         rows = np.zeros((len(asked), len(self.x)))
         rows[:, : outputs.shape[1]] = asked[:, at] @ outputs
         influence = self.kernel.adjusted(rows.T).T
-        for mine, spread in self.in_common():
+        for mine, spread in self.correlated_rows():
             influence[:, mine] = asked @ spread[: asked.shape[1]]
         return np.asarray(influence)
 
@@ -307,7 +307,7 @@ class Fit:
 
     def covariance(self, part: slice) -> Floats:
         """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
-        whole = self.kernel.covariance_of(self.model.output_rows.part(part))
+        whole = self._plain_covariance(part)
         for alone, spread in self._spread:
             whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         for begin in range(0, len(whole), FEW_ROWS):
@@ -316,6 +316,9 @@ class Fit:
             mean *= 0.5
             whole[rows, rest], whole[rest, rows] = mean, mean.T
         return whole
+
+    def _plain_covariance(self, part: slice) -> Floats:
+        return self.kernel.covariance_of(self.model.output_rows.part(part))
 
     def compact(self, part: slice) -> CompactCovariance | None:
         """Return the covariance in the form of few numbers; None where it has none."""
@@ -350,13 +353,13 @@ class Fit:
         """Standard deviations (o + a,) of all outputs, by the noise alone."""
         return np.sqrt(self.variance)
 
-    def products_of(self, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(self, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o + a, c) of what a unit of one row does to each output times another's.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k), each as it is.
         """
         if self._influence is None:
-            return self.kernel.products_of(self.model.output_rows, first, second, weight)
+            return self.kernel.output_products(self.model.output_rows, first, second, weight)
         return np.asarray((self._influence[:, first] * self._influence[:, second]) @ weight.T)
 
     def variance_from(self, part: Bools) -> Floats:
@@ -364,7 +367,7 @@ class Fit:
         if len(part) == 1:
             return self.variance[:, None]
         share, every = part.astype(np.float64), np.arange(len(self.std))
-        found = self.products_of(every, every, share)
+        found = self.output_products(every, every, share)
         for each, (alone, spread) in zip(self.model.correlated, self._spread, strict=True):
             found += (spread**2 - alone**2) @ share[:, each.rows].T
         return np.maximum(found, 0.0)
@@ -384,17 +387,17 @@ class Fit:
         design = self._white_design
         known = self.by_form is not None or self.model.definitions is not None
         variance = None if known else design.variances(self.model.output_rows)
-        if variance is None and design.rough_first:
+        if variance is None and design.prefers_normal_equations:
             _require_told(self.model, design)
         return self.counting(np.sqrt(self._plain_variance if variance is None else variance))
 
-    def far_worse_than(self, other: Fit, factor: float) -> bool:
+    def is_much_less_precise(self, other: Fit, factor: float) -> bool:
         """Whether an output is less sure than by ``factor`` times of another fit.
 
         Raises ObservabilityError where one is not determined at all.
         """
         outputs = self.model.output_rows.part(slice(len(self.model.outputs)))
-        if self._white_design.never_worse(other._white_design, outputs, factor):
+        if self._white_design.is_nearly_as_precise(other._white_design, outputs, factor):
             return False
         return bool((self.output_std > factor * other.output_std).any())
 
@@ -405,7 +408,7 @@ class Fit:
         """
         weight = self.used / self.std
         weight[rows] = 0.0
-        design = self.jacobian.weighted(weight).without_idle()
+        design = self.jacobian.weighted(weight).without_unused_columns()
         found = design.kernel()
         if found is None:
             return None
@@ -421,7 +424,7 @@ class Fit:
         """Return ``std`` (o + a,), infinite for those that count in no test."""
         return np.where(np.arange(len(std)) < len(self.model.outputs), std, np.inf)
 
-    def left_of(self, white: Floats) -> Floats:
+    def residuals_of(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) leave in the residuals, R times them."""
         mine = white * self.used[:, None]
         return np.asarray(mine - self.kernel.projected(mine))
@@ -557,13 +560,13 @@ def _damped(model: Model, x: Floats, weight: Floats, extra: Floats) -> Floats | 
         design = jacobian.weighted(weight)
         if design.large or not (np.isfinite(square) and jacobian.finite):
             return None
-        squares, pull = design.normal(), design.adjoint(white)
+        squares, pull = design.normal(), design.transpose_times(white)
         along = np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0)
         firm = squares + damping * np.diag(along)
         step: Floats = np.asarray(np.linalg.solve(firm, pull), dtype=np.float64)
         near = (model.observed - _computed(model, x + BEND * step, extra)[0]) * weight
         bend: Floats = np.asarray(2.0 / BEND * ((white - near) / BEND - design.times(step)))
-        bent = np.linalg.solve(firm, design.adjoint(-0.5 * bend))
+        bent = np.linalg.solve(firm, design.transpose_times(-0.5 * bend))
         if np.isfinite(bent).all() and bent @ (along * bent) <= step @ (along * step):
             step = step + bent
         computed, ahead = _computed(model, x + step, extra)
@@ -614,7 +617,9 @@ class _Steps:
 
     @classmethod
     def of(cls, model: Model, design: Design) -> _Steps:
-        return cls(model, design, None if design.rough_first else _by_form(model, design))
+        return cls(
+            model, design, None if design.prefers_normal_equations else _by_form(model, design)
+        )
 
     def __call__(self, white: Floats, x: Floats) -> tuple[Floats, float]:
         """Return the step (p + q,) from ``x`` that ``white`` (n,) asks for, as it is defined.
@@ -659,7 +664,9 @@ class _Steps:
                 step = self._whole.defined(x + step) - x
             return step, float(change @ change)
         (root, scale, open_), moving = self._factor, _moving(self.model, len(x))
-        along = lapack.dtrtrs(root, (self.design.adjoint(white) / scale)[moving], trans=1)[0]
+        along = lapack.dtrtrs(root, (self.design.transpose_times(white) / scale)[moving], trans=1)[
+            0
+        ]
         step = np.zeros(len(scale))
         step[moving] = lapack.dtrtrs(root, along)[0]
         step /= scale
@@ -733,7 +740,9 @@ def _open(model: Model, design: Design, root: Floats, scale: Floats) -> Floats |
     left, moving = design.times(open_), _moving(model, len(scale))
     for _ in range(2):
         part = np.zeros_like(open_)
-        part[moving] = lapack.dpotrs(root, (design.adjoint(left) / scale[:, None])[moving])[0]
+        part[moving] = lapack.dpotrs(
+            root, (design.transpose_times(left) / scale[:, None])[moving]
+        )[0]
         left = left - design.times(part / scale[:, None])
         open_ -= part / scale[:, None]
     return open_ if (np.linalg.norm(left, axis=0) <= OPEN).all() else None

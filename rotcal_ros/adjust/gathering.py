@@ -77,9 +77,9 @@ class Gathering:
     counts: tuple[Count, ...] = ()
 
     @property
-    def chance(self) -> float:
+    def false_alarm_probability(self) -> float:
         """How probably sound data look as much as if something gathered."""
-        return 1.0 if self.judgement is None else self.judgement.chance
+        return 1.0 if self.judgement is None else self.judgement.false_alarm_probability
 
     def without(self, case: BlamedSubset) -> Gathering:
         """Return it with ``case`` left out, too."""
@@ -129,11 +129,11 @@ def gathering_doubts(
             yield _blamed(case, words, unit)
     named = {case.group.name for case in gathering.blamed}
     judgement = gathering.judgement
-    if judgement is not None and gathering.chance < SUSPECTED:
+    if judgement is not None and gathering.false_alarm_probability < SUSPECTED:
         name = judgement.groups[judgement.worst].name
         why = phrase(
             "some {0} of {1} appear to be off together (p = {2:.2g} for sound {3})",
-            phrase(words.elements), name, gathering.chance, phrase(words.elements)
+            phrase(words.elements), name, gathering.false_alarm_probability, phrase(words.elements)
         )  # fmt: skip
         yield phrase(
             "{0}; it is uncertain which, and U includes it; look for {1} {2}, and "
@@ -196,7 +196,7 @@ def gathering_details(gathering: Gathering, elements: str) -> dict[str, Any]:
     of every group, ``blamed``: what was left out together; ``elements`` is the key of numbers.
     """
     return {
-        "chance": gathering.chance,
+        "chance": gathering.false_alarm_probability,
         "groups": [
             {
                 "name": row.name.text,

@@ -6,8 +6,9 @@ p.
 
 * The Bayes factor of all of them together against nothing is the test of largest power on average
   over what was believed beforehand. On sound data it exceeds 1/x with a probability below x
-  (Markov's inequality), which *proves* a disturbance; how probably it is exceeded exactly, which
-  makes one *suspected*, is drawn where that is in doubt (:meth:`Judgement.chance`).
+  (Markov's inequality), which *proves* a disturbance; how probably it is exceeded exactly
+  (:meth:`Judgement.false_alarm_probability`), which makes one *suspected*, is drawn where that is
+  in doubt.
 * A probable but unproved effect adds its expected square: the sum of p (d d' + D), d what an
   explanation does to the outputs and D its covariance. Methods add it where something is
   :attr:`Judgement.possible`; sound data keep their covariance to the last bit.
@@ -162,7 +163,7 @@ class Judgement:
         return self.log_bayes > float(np.log(POSSIBLE))
 
     @cached_property
-    def chance(self) -> float:
+    def false_alarm_probability(self) -> float:
         """How probably sound data have a Bayes factor as large as this one.
 
         By DRAWS sets of residuals with the cofactor of each group, from a fixed seed, each over

@@ -33,7 +33,7 @@ eigenvalue of normal equations of unit diagonal whose inverse keeps nine digits.
 class Design(ABC):
     """Derivatives (n, p) of observations."""
 
-    rough_first: bool = False
+    prefers_normal_equations: bool = False
     """Whether steps are quicker without its kernel."""
     divided: bool = True
     """Whether large groups of its observations are judged in parts."""
@@ -63,7 +63,7 @@ class Design(ABC):
         """Return the design times ``x`` (p,) or (p, k)."""
 
     @abstractmethod
-    def adjoint(self, y: Floats) -> Floats:
+    def transpose_times(self, y: Floats) -> Floats:
         """Return the transposed design times ``y`` (n,) or (n, k)."""
 
     @abstractmethod
@@ -78,7 +78,7 @@ class Design(ABC):
     def with_extra(self, columns: Floats) -> Design:
         """Return the design with the ``columns`` (n, q) of further unknowns."""
 
-    def some_times(self, which: Ints, x: Floats) -> Floats:
+    def rows_times(self, which: Ints, x: Floats) -> Floats:
         """Return some rows times ``x`` (p, k)."""
         return np.asarray(self.rows(which) @ x)
 
@@ -109,11 +109,11 @@ class Design(ABC):
         """Return variances (o,) of ``outputs`` where no kernel does; None: nothing does."""
         return None
 
-    def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
+    def is_nearly_as_precise(self, other: Design, outputs: Outputs, factor: float) -> bool:
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
         return False
 
-    def without_idle(self) -> Design:
+    def without_unused_columns(self) -> Design:
         """Return it without further unknowns that no row feels, where its kernel asks for that."""
         return self
 
@@ -146,7 +146,7 @@ class DenseDesign(Design):
         """Return the design times ``x`` (p,) or (p, k)."""
         return np.asarray(self.matrix @ x)
 
-    def adjoint(self, y: Floats) -> Floats:
+    def transpose_times(self, y: Floats) -> Floats:
         """Return the transposed design times ``y`` (n,) or (n, k)."""
         return np.asarray(self.matrix.T @ y)
 
@@ -188,19 +188,19 @@ class Kernel(ABC):
         """Return N^-1 times ``columns`` (p, k)."""
 
     @abstractmethod
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e).
 
         And of which kind (g,) each group is: those that are alike are worked out once.
         """
-        return np.stack([self.among(each) for each in rows]), np.arange(len(rows))
+        return np.stack([self.hat_block(each) for each in rows]), np.arange(len(rows))
 
     def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
-        values, vectors = np.linalg.eigh(np.eye(len(rows)) - self.among(rows))
+        values, vectors = np.linalg.eigh(np.eye(len(rows)) - self.hat_block(rows))
         seen = values > CHECKED
         along = vectors[:, seen].T @ white
         return float((along**2 / values[seen]).sum()), int(seen.sum())
@@ -212,7 +212,7 @@ class Kernel(ABC):
 
     def solve(self, white: Floats) -> Floats:
         """Return the unknowns (p,) or (p, k) of least squares from what is read, whitened."""
-        found = self.times(self.design.adjoint(white.reshape(len(white), -1)))
+        found = self.times(self.design.transpose_times(white.reshape(len(white), -1)))
         return found.reshape(-1, *white.shape[1:])
 
     def gains(self, rows: Ints) -> Floats:
@@ -229,7 +229,7 @@ class Kernel(ABC):
 
     def projected_in(self, white: Floats, rows: Ints) -> Floats:
         """Return the same of some ``rows`` (r,) alone, (r, k)."""
-        return self.design.some_times(rows, self.solve(white))
+        return self.design.rows_times(rows, self.solve(white))
 
     def variances(self, rows: Floats) -> Floats:
         """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
@@ -254,7 +254,9 @@ class Kernel(ABC):
         """
         return None
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
@@ -276,7 +278,7 @@ class Kernel(ABC):
         return Sensitivity.whole(self.response(outputs, rows))
 
     @abstractmethod
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
 
     def shared(self, parts: Bools) -> Floats:
@@ -288,7 +290,7 @@ class Kernel(ABC):
         most = int(parts.sum(axis=1).argmax())
         others = np.delete(np.arange(len(parts)), most)
         if len(others):
-            every = self.squares_between(parts[others].astype(np.float64))
+            every = self.hat_square_sums(parts[others].astype(np.float64))
             found[np.ix_(others, others)] = every
         found[most, others] = found[others, most] = (total - found.sum(axis=1))[others]
         found[most, most] = total[most] - found[most].sum()
@@ -350,7 +352,7 @@ class DenseKernel(Kernel):
         """Return N^-1 times ``columns`` (p, k)."""
         return np.asarray(self.root @ (self.root.T @ columns))
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return np.asarray(self.basis[rows] @ self.basis[rows].T)
 
@@ -358,7 +360,7 @@ class DenseKernel(Kernel):
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
         return squares_outside(white, self.basis[rows], np.ones(self.rank))
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
         basis = self.basis[rows]
         return basis @ basis.swapaxes(1, 2), np.arange(len(rows))
@@ -368,7 +370,7 @@ class DenseKernel(Kernel):
         """The diagonal (n,) of J N^-1 J'."""
         return np.asarray((self.basis**2).sum(axis=1))
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
         used = [np.flatnonzero(each) for each in share]
         each = [self.basis[rows] for rows in used]
@@ -445,7 +447,7 @@ class LowRankUpdateKernel(Kernel):
 
     def _with_extra(self, extra: Floats) -> LowRankUpdateKernel | None:
         """Return the same with ``extra`` columns (n, q); None where they are not firm."""
-        back = self.design.adjoint(extra)
+        back = self.design.transpose_times(extra)
         gain = self.times(back)
         squares, whole = extra.T @ extra - back.T @ gain, (extra**2).sum(axis=0)
         length = np.sqrt(np.where(whole > 0.0, whole, 1.0))
@@ -491,7 +493,9 @@ class LowRankUpdateKernel(Kernel):
         near, low, core = parts
         return near, np.hstack([low, outputs.times(self.columns)]), block_diag(core, self.core)
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
@@ -499,12 +503,14 @@ class LowRankUpdateKernel(Kernel):
         p, low = len(self.base.directions), self._low
         own, by = outputs.of_first(p), outputs.times(self.columns) @ self.core
         share = self.share[first] * self.share[second]
-        found = self.base.products_of(own, first, second, weight * share)
+        found = self.base.output_products(own, first, second, weight * share)
         for k, part in enumerate(weight):
             pairs = (part, (first, second)), (part, (second, first))
             shape = (len(low), len(low))
             there, back = (csr_array(coo_array(each, shape=shape)) for each in pairs)
-            both = own.times(self.base.times(self.design.adjoint(there @ low + back @ low)[:p]))
+            both = own.times(
+                self.base.times(self.design.transpose_times(there @ low + back @ low)[:p])
+            )
             found[:, k] += ((both + by @ (low.T @ (there @ low))) * by).sum(axis=1)
         found[outputs.idle] = 0.0
         return found
@@ -519,18 +525,18 @@ class LowRankUpdateKernel(Kernel):
         found[outputs.idle] = 0.0
         return found
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        found, share = self.base.among(rows), self.share[rows]
+        found, share = self.base.hat_block(rows), self.share[rows]
         found *= share[:, None]
         found *= share
         low = self._low[rows]
         found += low @ self.core @ low.T
         return np.asarray(found)
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
-        share, (found, kind) = self.share[rows], self.base.among_each(rows)
+        share, (found, kind) = self.share[rows], self.base.hat_blocks(rows)
         first = np.unique(kind, return_index=True)[1]
         if self.columns.shape[1] or (share != share[first][kind]).any():
             found, first, kind = found[kind], np.arange(len(rows)), np.arange(len(rows))
@@ -540,16 +546,16 @@ class LowRankUpdateKernel(Kernel):
             found += (low @ self.core) @ low.swapaxes(1, 2)
         return found, kind
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each.
 
         Of a base B and a low rank L C L': those of B, of both, and of the low rank alone.
         """
-        found = self.base.squares_between(share * self.share**2)
+        found = self.base.hat_square_sums(share * self.share**2)
         low, p = self._low, self.base.directions.shape[0]
         each = [part[:, None] * low for part in share]
         taken = np.zeros((len(share), *self.columns.shape))
-        taken[:, :p] = [self.base.times(self.design.adjoint(own)[:p]) for own in each]
+        taken[:, :p] = [self.base.times(self.design.transpose_times(own)[:p]) for own in each]
         squares = np.stack([low.T @ own for own in each])
         computed = [self.design.times(own) for own in taken]
         mixed = np.stack([[other.T @ own for other in each] for own in computed])
@@ -624,17 +630,17 @@ class ConstrainedKernel(Kernel):
         """Return N^-1 times ``columns`` (p, k)."""
         return self.defined(self.base.times(columns - self.rows.T @ (self.fixing.T @ columns)))
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        return self.base.among(rows)
+        return self.base.hat_block(rows)
 
     def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
         return self.base.together(rows, white)
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
-        return self.base.among_each(rows)
+        return self.base.hat_blocks(rows)
 
     @property
     def leverage(self) -> Floats:
@@ -673,13 +679,15 @@ class ConstrainedKernel(Kernel):
         """Return the parts of the base, of outputs that keep the definitions."""
         return self.base.parts_of(outputs.fixed(self.fixing, self.rows))
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
         """
         fixed = outputs.fixed(self.fixing, self.rows)
-        return self.base.products_of(fixed, first, second, weight)
+        return self.base.output_products(fixed, first, second, weight)
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
@@ -694,9 +702,9 @@ class ConstrainedKernel(Kernel):
         along = np.concatenate([found.along, fixed])
         return replace(found, along=along, common=np.hstack([found.common, moved]))
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
-        return self.base.squares_between(share)
+        return self.base.hat_square_sums(share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -723,17 +731,17 @@ class ReweightedKernel(Kernel):
     def _scaled(self, columns: Floats) -> Floats:
         return np.asarray((columns.T * self.factor).T)
 
-    def among(self, rows: Ints) -> Floats:
+    def hat_block(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        return self.base.among(rows)
+        return self.base.hat_block(rows)
 
     def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
         """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
         return self.base.together(rows, white)
 
-    def among_each(self, rows: Ints) -> tuple[Floats, Ints]:
+    def hat_blocks(self, rows: Ints) -> tuple[Floats, Ints]:
         """Return J N^-1 J' between rows of groups (g, e), each kind once (k, e, e)."""
-        return self.base.among_each(rows)
+        return self.base.hat_blocks(rows)
 
     @property
     def leverage(self) -> Floats:
@@ -776,12 +784,14 @@ class ReweightedKernel(Kernel):
         """Return the parts of the base, of outputs times the factors."""
         return self.base.parts_of(outputs.weighted(self.factor))
 
-    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(
+        self, outputs: Outputs, first: Ints, second: Ints, weight: Floats
+    ) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
         Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
         """
-        return self.base.products_of(outputs.weighted(self.factor), first, second, weight)
+        return self.base.output_products(outputs.weighted(self.factor), first, second, weight)
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
@@ -791,9 +801,9 @@ class ReweightedKernel(Kernel):
         """Return the same in parts that are few, where they are."""
         return self.base.sensitivity(outputs.weighted(self.factor), rows)
 
-    def squares_between(self, share: Floats) -> Floats:
+    def hat_square_sums(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
-        return self.base.squares_between(share)
+        return self.base.hat_square_sums(share)
 
 
 def squares_outside(white: Floats, columns: Floats, sign: Floats) -> tuple[float, int]:

@@ -100,7 +100,7 @@ class SolutionView:
         if (
             judgement is not None
             and judgement.proved(limits.significance)
-            and judgement.chance < limits.significance
+            and judgement.false_alarm_probability < limits.significance
         ):
             yield from self.groups[:1]
 
@@ -111,7 +111,7 @@ class SolutionView:
         That one may be sound. Where it is not proved which ones are off, all stay in, and the
         covariance holds what they may do.
         """
-        if self.diagnosis.gathering.chance >= SUSPECTED:
+        if self.diagnosis.gathering.false_alarm_probability >= SUSPECTED:
             return False
         oddest, single = self._oddest[0], self.singles[0]
         return any(
@@ -190,7 +190,7 @@ class SolutionView:
         rows = model.rows_of(np.array([element]))
         residual, (value, limit) = fit.residual[rows], self._test(element)
         squares, rank = (float(each[element]) for each in fit.element_test)
-        cofactor = np.eye(len(rows)) - fit.kernel.among(rows)
+        cofactor = np.eye(len(rows)) - fit.kernel.hat_block(rows)
         missed = np.linalg.lstsq(cofactor, fit.white[rows], rcond=CHECKED)[0]
         off, left = (float(np.linalg.norm(each)) for each in (missed * fit.std[rows], residual))
         sign = float(np.sign(residual[0])) if len(rows) == 1 else 1.0
@@ -396,7 +396,7 @@ class SolutionView:
             for some in np.array_split(every, -(-len(every) * size**2 // MOST_NUMBERS)):
                 members = [asked[k].members for k in some]
                 rows = [table[m, : size // len(m)].ravel() for m in members]
-                among, kind = self.fit.kernel.among_each(np.stack(rows))
+                among, kind = self.fit.kernel.hat_blocks(np.stack(rows))
                 gathered = _gathered_of([asked[k] for k in some])
                 groups = [
                     self._group(asked[k], *of)
@@ -446,7 +446,7 @@ class SolutionView:
 
     def _judged(self, rows: Ints) -> Floats:
         """Return T, its degrees of freedom and the share that others check of groups (g, e)."""
-        among, kind = self.fit.kernel.among_each(rows)
+        among, kind = self.fit.kernel.hat_blocks(rows)
         values, vectors = np.linalg.eigh(np.eye(rows.shape[1]) - among)
         values, seen = values[kind], values[kind] > CHECKED
         turn = vectors[kind] if len(vectors) > 1 else vectors  # as of a circle

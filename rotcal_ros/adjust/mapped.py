@@ -56,7 +56,7 @@ class MappedFit(Fit):
         """
         by = self.by.part(slice(asked.shape[1]))
         found = np.asarray((by.few.T @ asked.T).T + (asked @ by.share) @ by.common)
-        for mine, spread in self.in_common():
+        for mine, spread in self.correlated_rows():
             found[:, mine] = asked @ spread[: asked.shape[1]]
         return found
 
@@ -83,7 +83,7 @@ class MappedFit(Fit):
     def _plain_variance(self) -> Floats:
         return np.asarray(self.by.lengths(np.ones(self.by.shape[1])) ** 2 + self.left_out**2)
 
-    def products_of(self, first: Ints, second: Ints, weight: Floats) -> Floats:
+    def output_products(self, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) over pairs of rows, as of :class:`Fit`."""
         found = np.zeros((len(self.found), len(weight)))
         for some in np.array_split(np.arange(len(first)), len(first) // FEW_ROWS + 1):

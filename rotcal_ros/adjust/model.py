@@ -154,7 +154,7 @@ class Steps:
             for (rows, first), end in zip(found, ends.tolist(), strict=False)
         ]
 
-    def fewer(self, most: int) -> Steps:
+    def thinned(self, most: int) -> Steps:
         """Return the same of some moments, evenly, where they are far more than ``most``."""
         moments = self.shape[1] // self.width
         return replace(self, stride=self.stride * max(1, moments // most))
@@ -224,7 +224,7 @@ class Disturbing:
     def whole(self, computed: Floats) -> Floats:
         """Return the same, written out; of very many moments some, evenly."""
         found = self.at(computed)
-        return found.fewer(MOST_MOMENTS).whole() if isinstance(found, Steps) else found
+        return found.thinned(MOST_MOMENTS).whole() if isinstance(found, Steps) else found
 
     def mapped(
         self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats], *, apart: bool

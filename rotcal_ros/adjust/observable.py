@@ -44,7 +44,7 @@ def observe_effect(fit: Fit, effect: Disturbing) -> ObservableEffect | Observabl
 def observe_columns(fit: Fit, columns: Floats) -> ObservableEffect:
     """Return what a solution makes of ``columns`` (n, k) of errors that are there together."""
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    left = fit.left_of(white)
+    left = fit.residuals_of(white)
     return ObservableEffect(
         fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0)
     )
@@ -76,7 +76,7 @@ def _part_observable_by(
     Of that its errors, what the unknowns take up and what they see of it, (., 1, w) each.
     """
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    gain, back = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
+    gain, back = fit.kernel.solve(white), fit.kernel.design.transpose_times(white)
     every = [each.reshape(len(each), -1, width) for each in (white, gain, back)]
     mine, solved, adjoint = every
     beside = _products(mine[:, :-1], mine[:, 1:]) - _products(adjoint[:, :-1], solved[:, 1:])
@@ -105,7 +105,7 @@ def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[Ints], Float
     every = np.flatnonzero(weak)
     for some in np.array_split(every, -(-len(every) // FEW)) if len(every) else ():
         columns = (some[:, None] * w + np.arange(w)).ravel()
-        left = fit.left_of(white(columns)).reshape(len(fit.std), len(some), w).swapaxes(0, 1)
+        left = fit.residuals_of(white(columns)).reshape(len(fit.std), len(some), w).swapaxes(0, 1)
         own[some] = left.swapaxes(1, 2) @ left
 
 
@@ -119,7 +119,7 @@ def _steps_observable_by(fit: Fit, steps: Steps) -> ObservableFamily:
     )
     ends = np.cumsum([len(first) for _, first in steps.runs])[:-1]
     for end in ends[(ends > 0) & (ends < len(own))].tolist():
-        left = fit.left_of(moves.white(slice((end - 1) * w, (end + 1) * w)))
+        left = fit.residuals_of(moves.white(slice((end - 1) * w, (end + 1) * w)))
         beside[end - 1] = left[:, :w].T @ left[:, w:]
     _firm_up(fit, own, whole, moves.white)
     return ObservableFamily(moves, own, beside[:-1], score, whole)
@@ -146,7 +146,7 @@ def _run_observable_by(
             taken = fitted.reshape(len(rows), len(many), w)
         of = slice(k * AT_A_TIME, (k + 1) * AT_A_TIME)
         begin, here = int(first[of][0]) if len(first) else 0, first[of]
-        among, part = fit.kernel.among(rows[begin:end]), mine[begin:end]
+        among, part = fit.kernel.hat_block(rows[begin:end]), mine[begin:end]
         within = part[:, :, None, None] * among[:, None, :, None] * part
         within = _later(_later(within).transpose(2, 3, 0, 1)).transpose(2, 3, 0, 1)
         within = np.pad(within, ((0, 1), (0, 0), (0, 1), (0, 0)))

@@ -126,7 +126,7 @@ def _concentrated(model: Model, fit: Fit) -> Fit:
             break
         try:
             after = fit_model(model, better, model.std, fit.x, settled=ROUGHLY)
-            if after.far_worse_than(usual, FAR_WORSE):
+            if after.is_much_less_precise(usual, FAR_WORSE):
                 break
         except RotcalError:
             break

@@ -75,7 +75,7 @@ class PosteriorSizes:
     probability: float = 1.0
 
     @property
-    def weighing(self) -> float:
+    def median_size(self) -> float:
         """The size that rows are best weighed by: the median, which is never nothing."""
         return max(self.quantile(0.5), FLOOR * self.noticed)
 
@@ -285,11 +285,11 @@ def _contrasts(
     """
     value = -fit.residual[rows, None]
     if errors is not None:
-        value = np.hstack([value, -std * fit.left_of(errors)[rows]])
+        value = np.hstack([value, -std * fit.residuals_of(errors)[rows]])
     if len(rows) > MOST:
         taken, axes = fit.kernel.leverage[rows], None
     else:
-        taken, axes = np.linalg.eigh(fit.kernel.among(rows))
+        taken, axes = np.linalg.eigh(fit.kernel.hat_block(rows))
         value = axes.T @ value
     shown = (1.0 - taken > SHOWN) & (taken > SHOWN)
     taken, value = taken[shown], value[shown]

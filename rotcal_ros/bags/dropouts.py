@@ -55,7 +55,7 @@ class Dropout:
             gaps=self.gaps + later.gaps,
         )
 
-    def sentence(self) -> Phrase:
+    def describe(self) -> Phrase:
         """Return it in words."""
         begin, end = (
             datetime.fromtimestamp(ns // 1_000_000 / 1e3, timezone.utc)

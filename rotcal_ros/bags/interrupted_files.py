@@ -67,7 +67,7 @@ class InterruptedSession:
         """Read the bag in ``folder``; raises BagError when there is none."""
         files = bag_files(folder)
         heads = (file_head(file) for file in files)
-        session = next((head.session for head in heads if not head.says_nothing), "")
+        session = next((head.session for head in heads if not head.is_anonymous), "")
         scans = [scan for scan, block in read_blocks(files) if block is None]
         ends = tuple(
             end for scan in scans if (end := find_unclosed_end(scan.verdict())) is not None

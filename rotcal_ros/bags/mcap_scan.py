@@ -139,7 +139,7 @@ class McapScan(Scan):
             try:
                 for item in self._contents(record):
                     if isinstance(item, Block):
-                        yield from self._defined(small.joined_with(item))
+                        yield from self._defined(small.add_block(item))
                     else:
                         yield item
             except (mcap.DamagedRecord, BagError) as fault:
@@ -407,7 +407,7 @@ class SmallBlocks:
         self._blocks: list[Block] = []
         self._room = 0  # the first block goes at once: some readers need no more
 
-    def joined_with(self, block: Block) -> tuple[Block, ...]:
+    def add_block(self, block: Block) -> tuple[Block, ...]:
         """Add ``block``; return what has become large enough."""
         if len(block.data) >= _JOINED_BYTES:  # never copied
             return (*self.rest(), *((block,) if len(block) else ()))

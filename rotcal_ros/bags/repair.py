@@ -142,7 +142,7 @@ class _Copier:
 
 def _compare(before: Sequence[FileVerdict], after: Sequence[FileVerdict], folder: Path) -> None:
     saved, written = (sum(v.messages for v in verdicts) for verdicts in (before, after))
-    bad = [v.sentence() for v in after if v.state != "complete"]
+    bad = [v.describe() for v in after if v.state != "complete"]
     if bad or saved != written:
         raise BagError(
             f"the repaired bag {folder} is not sound: {written} of {saved} messages were read "
@@ -235,7 +235,7 @@ def _compression_mode(files: Iterable[Path], old: rosbag2_metadata.BagDescriptio
 
 
 def _require_sound(folder: Path, verdicts: Iterable[FileVerdict]) -> None:
-    bad = [f"{v.path.name} is {v.sentence()}" for v in verdicts if v.state != "complete"]
+    bad = [f"{v.path.name} is {v.describe()}" for v in verdicts if v.state != "complete"]
     if bad:
         raise BagError(
             f"{'; '.join(bad)}: no metadata.yaml makes that readable for other programs; rotcal "

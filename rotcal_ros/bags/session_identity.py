@@ -47,7 +47,7 @@ class FileHead:
         return sha256(f"{self.configuration} {self.item} {self.first_ns}".encode()).hexdigest()
 
     @property
-    def says_nothing(self) -> bool:
+    def is_anonymous(self) -> bool:
         """Whether nothing identifies the session: another recorder, or no message in the file."""
         known = self.first_ns is not None and (self.configuration or self.item)
         return not (self.stated or known)
@@ -104,10 +104,10 @@ def sessions_in(
     waiting: list[FileHead] = []
     name = ""
     for head in heads:
-        if head.says_nothing and not name:
+        if head.is_anonymous and not name:
             waiting.append(head)
             continue
-        if not head.says_nothing:
+        if not head.is_anonymous:
             name = _identity(head, unnamed)
         found.setdefault(name, []).extend((*waiting, head))
         waiting.clear()
@@ -144,7 +144,7 @@ def require_one_session(files: Sequence[Path], limits: ReadingLimits = DEFAULT_L
     (heads,) = found.values()
     by_start: dict[tuple[str, int], FileHead] = {}
     for head in heads:
-        if head.first_ns is None or head.says_nothing:
+        if head.first_ns is None or head.is_anonymous:
             continue
         twin = by_start.setdefault((head.run, head.first_ns), head)
         if twin is not head:

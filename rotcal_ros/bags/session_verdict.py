@@ -309,16 +309,16 @@ def repair_record(before: Sequence[FileVerdict], missing: Sequence[str]) -> dict
     record = {_DATE: f"{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}"}
     for verdict in before:
         hashed, lost, damages = (f"{verdict.path.name}{what}" for what in _DETAILS)
-        record[verdict.path.name] = verdict.sentence()
+        record[verdict.path.name] = verdict.describe()
         record[hashed] = sha256_of(verdict.path)
         record[lost] = json.dumps({n: t.lost for n, t in verdict.topics.items() if t.lost})
         record[damages] = json.dumps([[d.offset, d.what] for d in verdict.damages])
         if earlier := verdict.notes.get(names.REPAIR):
             record[_EARLIER] = json.dumps(dict(earlier))
     uncounted = [
-        f"{v.path.name}: {v.sentence()}"
+        f"{v.path.name}: {v.describe()}"
         for v in before
-        if v.proves_loss and not v.lost and not any(v.path.name in text for text in missing)
+        if v.shows_loss and not v.lost and not any(v.path.name in text for text in missing)
     ]
     if missing or uncounted:
         record[_MISSING] = json.dumps([*missing, *uncounted])

@@ -88,7 +88,7 @@ class FileVerdict:
         return sum(topic.lost for topic in self.topics.values())
 
     @property
-    def proves_loss(self) -> bool:
+    def shows_loss(self) -> bool:
         """Whether the file itself shows that messages which were written cannot be read."""
         uncounted = self.state == "damaged" and not self.lost_exactly
         return self.lost > 0 or self.cut_off or uncounted
@@ -99,7 +99,7 @@ class FileVerdict:
         noted = self.notes.get(names.LOSSES, {})
         return {name: text for name, text in noted.items() if name not in self.losses_recorded}
 
-    def sentence(self) -> Phrase:
+    def describe(self) -> Phrase:
         """Return the verdict in words."""
         if self.state == "complete":
             return phrase("complete")
@@ -112,7 +112,7 @@ class FileVerdict:
         lost = phrase("no message known to be lost")
         if self.lost:
             lost = phrase("{0} messages lost", self.lost)
-        elif self.proves_loss:
+        elif self.shows_loss:
             lost = phrase("an unknown number of messages lost")
         at = phrase("{0} at byte {1}: {2}", phrase(self.state), first.offset, phrase(first.what))
         more = [] if self.lost_exactly else [phrase("more may be missing")]
@@ -124,7 +124,7 @@ class FileVerdict:
             "path": str(self.path),
             "size": self.size,
             "verdict": self.state,
-            "sentence": self.sentence(),
+            "sentence": self.describe(),
             "offset": self.damages[0].offset if self.damages else None,
             "damages": [{"offset": d.offset, "what": d.what} for d in self.damages],
             "messages": self.messages,

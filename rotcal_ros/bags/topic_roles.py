@@ -33,7 +33,7 @@ class TopicRoleFinder:
         self._namespace = namespace
         self.topics: dict[str, str] = {}
 
-    def look(self, values: Values) -> None:
+    def poll(self, values: Values) -> None:
         """Take the beats of the nodes that are there; what a node said before it left stays."""
         for role in names.ROLES:
             if beat := values(_TELLERS.get(role, "capture")):

@@ -35,7 +35,7 @@ def note_unread(sentences: Iterable[str]) -> None:
 def note_verdict(verdict: FileVerdict) -> None:
     """Note what a file that was read to its end lacks."""
     if not verdict.whole:
-        note_unread([f"{verdict.path.name}: {verdict.sentence()}"])
+        note_unread([f"{verdict.path.name}: {verdict.describe()}"])
 
 
 def note_printed(line: str) -> None:

@@ -250,7 +250,7 @@ class BagWriter:
 
     def _sync(self) -> None:
         self._file.sync()
-        self._watched.grew(self._file.path, self._file.size)
+        self._watched.expect_size(self._file.path, self._file.size)
         self._unsynced = 0
 
     def _must_split(self) -> bool:
@@ -273,7 +273,7 @@ class BagWriter:
         """Finish a file that is synced."""
         file.finish()
         self._open_files.remove(file)
-        self._watched.grew(file.path, file.size)
+        self._watched.expect_size(file.path, file.size)
 
     def _describe(self) -> None:
         """Write what rosbag2 needs to know, into the file and beside it."""
@@ -372,7 +372,7 @@ class WatchedFiles:
         """Expect the file at ``path`` to stay as it is now."""
         self._expected[path] = _file_state(path)
 
-    def grew(self, path: Path, size: int) -> None:
+    def expect_size(self, path: Path, size: int) -> None:
         """Expect another size: we wrote the file at ``path`` up to ``size``."""
         self._expected[path] = (*self._expected[path][:2], size)
 

@@ -63,7 +63,7 @@ class AirStreams:
         self.by_name = {q.name: Stream(1, clock_tolerance_ns) for q in QUANTITIES.values()}
         self._belated: Sequence[tuple[int, int]] = ()
 
-    def begin_anew(self, belated: Sequence[tuple[int, int]], *, follows: bool) -> None:
+    def reset(self, belated: Sequence[tuple[int, int]], *, follows: bool) -> None:
         """Forget the readings from before a clock was set back; the counts stay.
 
         Readings stamped within ``belated`` may be from before that and are left out, by their
@@ -102,7 +102,7 @@ class AirStreams:
         wanted = _wanted(begin_ns, since_ns, settings)
         for quantity in QUANTITIES.values():
             stream = self.by_name[quantity.name]
-            if quantity.expected(settings) and not stream.knows(wanted):
+            if quantity.expected(settings) and not stream.is_complete_until(wanted):
                 yield AwaitedQuantity(quantity, stream, wanted)
 
     def at(self, begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> ObservedAir:
@@ -131,7 +131,7 @@ def _wanted(begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> i
 def _reading(
     stream: Stream, wanted: int, since_ns: int | None, settings: CaptureSettings
 ) -> float | None:
-    if not stream.knows(wanted):
+    if not stream.is_complete_until(wanted):
         return None
     row = max(stream.index(wanted + 1) - 1, stream.index(since_ns or 0))
     if abs(int(stream.stamps[row]) - wanted) > round(settings.clock_tolerance_s / NANOSECOND):

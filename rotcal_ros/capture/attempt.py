@@ -72,7 +72,7 @@ class AttemptStreams:
         self.since_ns = stamp_ns if self.since_ns is None else self.since_ns
         self.counted_from = self.counted_from or (self.tracer.beam.epoch, stamp_ns)
 
-    def begin_anew(self, settling_ns: int) -> None:
+    def reset(self, settling_ns: int) -> None:
         """Forget the air that was read before the clock of a stream was set back.
 
         Samples of the other streams with older stamps arrive at ``settling_ns`` at the latest.
@@ -82,7 +82,7 @@ class AttemptStreams:
         self.since_ns = self.settled_ns = newest + settling_ns
         self._belated = tuple(late_stamp_range(s, settling_ns) for s in set_back)
         times = max(s.counts.set_back for s in set_back)
-        self.air.begin_anew(self._belated, follows=times == self._times_set_back)
+        self.air.reset(self._belated, follows=times == self._times_set_back)
         self._times_set_back = times
 
     def before_set_back(self, stamp_ns: int) -> bool:
@@ -115,7 +115,7 @@ class AttemptStreams:
             return attempt.begin_ns
         return max(stream.latest, attempt.begin_ns) if stream.single_shot else stream.latest
 
-    def patience_ns(self, stream: Stream, settings: CaptureSettings) -> int:
+    def timeout_ns(self, stream: Stream, settings: CaptureSettings) -> int:
         """Return how far a stream may be behind the others."""
         timeout_s = settings.step_timeout_s if stream.single_shot else 0.0
         return nanoseconds(settings.clock_tolerance_s) + nanoseconds(timeout_s)

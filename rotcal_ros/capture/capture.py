@@ -193,9 +193,9 @@ class Capture:
         tracer, table = self._streams.tracer, self._streams.table
         return self._waiting.stream is tracer and table.newest_ns >= self._waiting.stamp_ns
 
-    def complaint(self) -> str | None:
+    def current_fault(self) -> str | None:
         """Return what keeps the latest order from being measured, well before it is given up."""
-        if (wrong := self._answers.complaint()) or not self._pending:
+        if (wrong := self._answers.current_fault()) or not self._pending:
             return wrong or self._no_answer()
         attempt, table = self._pending[-1], self._streams.table
         if attempt.step.turn is not None:
@@ -227,7 +227,7 @@ class Capture:
             f"{off:.3g} m from where it was sent"
         )
 
-    def hopeless(self) -> str | None:
+    def why_unmeasurable(self) -> str | None:
         """Return why no attempt will ever be accepted, with what to change, if that is certain."""
         if (newest := self._newest) is None or newest.step.turn is not None:
             return None
@@ -280,7 +280,7 @@ class Capture:
     def _take_probe(self, sample: ProbeSample) -> Observations:
         """Start an attempt, or add a point to the newest one."""
         self._probe.received += 1
-        self._answers.hear(sample)
+        self._answers.receive(sample)
         if self._goes_on(sample):
             return self._take_reading(sample)
         if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
@@ -446,7 +446,7 @@ class Capture:
         )  # fmt: skip
         for attempt in self._pending:
             attempt.rejected = attempt.rejected or error
-        self._streams.begin_anew(_SETTLED_NS)
+        self._streams.reset(_SETTLED_NS)
         self._probe_stamp = None
 
     def _outcome(self, attempt: Attempt) -> Observation | Wait:
@@ -466,7 +466,7 @@ class Capture:
     def _refuse_endless(self, attempt: Attempt, wait: Wait) -> None:
         """Raise AttemptRejectedError if what an attempt waits for is unlikely to come."""
         lag_ns = self._streams.lag_ns(attempt, wait)
-        if lag_ns > self._streams.patience_ns(wait.stream, self._settings):
+        if lag_ns > self._streams.timeout_ns(wait.stream, self._settings):
             if wait.stream.single_shot:
                 raise single_shot_missing(attempt, wait, lag_ns)
             raise AttemptRejectedError(
@@ -510,7 +510,7 @@ class Capture:
         self._waiting = wait
         too_late = (
             self._streams.reached(wait.stream, attempt)
-            + self._streams.patience_ns(wait.stream, self._settings)
+            + self._streams.timeout_ns(wait.stream, self._settings)
             + 1
         )
         for stream in self._streams.by_name().values():
@@ -572,7 +572,7 @@ class OrderAnswers:
         self.unanswered += self._is_open()
         self._ordered, self._wrong, self.ordered_ns = key, None, now_ns
 
-    def hear(self, sample: ProbeSample) -> None:
+    def receive(self, sample: ProbeSample) -> None:
         """Take a probe point; one that was sent without an order answers none."""
         if sample.kind == PointKind.UNKNOWN:
             return
@@ -603,7 +603,7 @@ class OrderAnswers:
             "echo both from the order"
         )
 
-    def complaint(self) -> str | None:
+    def current_fault(self) -> str | None:
         """Return in words that the latest order was answered with another step or attempt."""
         return None if self._wrong is None else self.unanswered_order()
 

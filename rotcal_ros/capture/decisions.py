@@ -78,7 +78,7 @@ def decide_length(
             return window
         first, last = window
         end_ns = int(streams.tracer.stamps[last])
-        if not streams.table.knows(end_ns):
+        if not streams.table.is_complete_until(end_ns):
             return Wait(streams.table, end_ns)
         again = departure(streams.table, start, end_ns, attempt.step.table_angle, settings)
         if again is None:
@@ -96,7 +96,7 @@ def _start(
     start = arrival(table, attempt.search_ns, angle, settings)
     if start is not None and start <= deadline:
         return start
-    if table.knows(deadline):
+    if table.is_complete_until(deadline):
         raise AttemptRejectedError(
             why_not_at_rest(table, attempt.begin_ns, deadline, angle, settings)
         )
@@ -117,7 +117,7 @@ def _window(
     last = first + settings.window_samples - 1
     if last < len(tracer.stamps) and tracer.stamps[last] <= deadline:
         return first, last
-    if last >= len(tracer.stamps) and not tracer.knows(deadline):
+    if last >= len(tracer.stamps) and not tracer.is_complete_until(deadline):
         return Wait(tracer, begin, last + 1 - len(tracer.stamps), deadline)
     raise _too_few(attempt, tracer, settings, deadline, begin)
 
@@ -230,7 +230,11 @@ def decide_points(
     wanted, samples, table = attempt.step.n_points, attempt.samples, streams.table
     deadline = attempt.deadline_ns(settings)
     patience = deadline + nanoseconds(settings.clock_tolerance_s)  # points may arrive late
-    if len(samples) < wanted and attempt.superseded_ns is None and not table.knows(patience):
+    if (
+        len(samples) < wanted
+        and attempt.superseded_ns is None
+        and not table.is_complete_until(patience)
+    ):
         return Wait(table, patience)
     if len(samples) < wanted or samples[-1].stamp_ns > deadline:
         raise AttemptRejectedError(
@@ -238,7 +242,7 @@ def decide_points(
             seconds(deadline - attempt.begin_ns)
         )  # fmt: skip
     begin_ns, end_ns = samples[0].stamp_ns, samples[-1].stamp_ns
-    if not table.knows(end_ns):
+    if not table.is_complete_until(end_ns):
         return Wait(table, end_ns)
     if is_no_longer_in_memory(table, begin_ns):
         raise AttemptRejectedError("table feedback from the time of the points has left memory")

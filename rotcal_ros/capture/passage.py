@@ -176,11 +176,11 @@ def decide_passage(
     passed = first_passage(table, since_ns, deadline, step)
     if passed is not None:
         begin_ns, end_ns = int(passed.stamps[0]), int(passed.stamps[-1])
-        if not read.knows(end_ns):
+        if not read.is_complete_until(end_ns):
             return Wait(read, end_ns)
         attempt.search_ns = begin_ns  # the table passes the next angle later
         return _observe(attempt, streams, settings, passed)
-    if not table.knows(deadline):
+    if not table.is_complete_until(deadline):
         return Wait(table, min(_soonest_ns(table, step, settings), deadline))
     back = replace(step, turn=replace(_turn(step), speed=-_turn(step).speed))
     reversed_ = first_passage(table, since_ns, deadline, back) is not None

@@ -46,7 +46,7 @@ class PublisherList:
 
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def in_a_beat(self) -> str:
+    def to_heartbeat(self) -> str:
         """Return one line for a heartbeat; equal objects give equal lines."""
         return json.dumps(self.publishers, sort_keys=True) if self.publishers else ""
 
@@ -158,7 +158,7 @@ class HeardPublishers:
     def __len__(self) -> int:
         return len(self.identities) + len(self._latest)
 
-    def hear(self, origin: MessageOrigin) -> None:
+    def receive(self, origin: MessageOrigin) -> None:
         """Take a message; one with neither identity nor number counts as of the unknown one."""
         if origin.publisher or origin.number is None:
             self.identities.add(origin.publisher)
@@ -209,7 +209,9 @@ class PendingPlans(Generic[T]):
         """Take a plan, which announces ``run``; repeating it changes nothing."""
         self._waiting.setdefault(run, _WaitingPlan(plan, now_s))
 
-    def judged(self, goals_run: str | None, now_s: float) -> Iterator[tuple[T, PlanOwner]]:
+    def with_known_owner(
+        self, goals_run: str | None, now_s: float
+    ) -> Iterator[tuple[T, PlanOwner]]:
         """Yield each plan once, as soon as it is known whose it is.
 
         ``goals_run`` is the run of the planner's goal, "" where it has none, and None if no

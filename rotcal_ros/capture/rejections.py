@@ -88,7 +88,7 @@ class Rejections:
         return f"{place} rejected: {reason}{since}"
 
     @property
-    def alarming(self) -> bool:
+    def is_alarming(self) -> bool:
         """Whether so many were rejected in a row that all further ones may be."""
         return len(self.running) >= ALARM_AFTER
 

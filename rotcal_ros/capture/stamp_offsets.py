@@ -152,7 +152,7 @@ class StampOffsets:
             return difference
         return _agreed(self._events.get(stream, {}).values(), shots) if shots else None
 
-    def judged(self, observation: Observation) -> Observation:
+    def check_clocks(self, observation: Observation) -> Observation:
         """Return an observation, rejected if the clocks of its streams differ."""
         return reject_observation(self.reason_to_reject(), observation)
 

@@ -174,7 +174,7 @@ class Stream:
         """Return the index of the first remembered sample at or after ``stamp_ns``."""
         return int(np.searchsorted(self.stamps, stamp_ns))
 
-    def knows(self, stamp_ns: int) -> bool:
+    def is_complete_until(self, stamp_ns: int) -> bool:
         """Return whether every sample up to ``stamp_ns`` has been admitted."""
         return self.latest is not None and self.latest >= stamp_ns
 

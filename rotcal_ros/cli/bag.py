@@ -89,7 +89,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
         })  # fmt: skip
     else:
         for verdict in verdicts:
-            tell(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
+            tell(f"{verdict.path}: {verdict.messages} messages, {verdict.describe()}")
             for name, topic in verdict.topics.items():
                 if topic.lost:
                     tell(f"  {name}: {topic.lost} lost, {topic.messages} read")
@@ -195,7 +195,7 @@ def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool)
         )
     else:
         for verdict in outcome.before:
-            tell(f"{verdict.path}: {verdict.sentence()}")
+            tell(f"{verdict.path}: {verdict.describe()}")
         saved = sum(verdict.messages for verdict in outcome.after)
         tell(f"{saved} messages saved in {folder.absolute()}")
     return 0

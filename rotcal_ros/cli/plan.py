@@ -254,7 +254,7 @@ def add(additions: tuple[str, ...], present: tuple[Path, ...], as_json: bool) ->
     rows = [("as it is", 0.0, predicted_together(have))] if have else []
     for name in additions:
         calibration = _planned(name)
-        seconds, _ = DryRun(calibration, calibration.plan.table_angles[0]).taking()
+        seconds, _ = DryRun(calibration, calibration.plan.table_angles[0]).time_estimate()
         more = _expected(f"addition {name}", calibration, NOISE_SEED + 1)
         rows.append((name, seconds, predicted_together([*have, more])))
     if as_json:
@@ -293,7 +293,7 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
     model = alone.model_of_curves(observations)
     if model is None:
         return JointInput(name, alone.solve(observations))
-    return JointInput(name, alone.unsolved(observations, model), model)
+    return JointInput(name, alone.without_solution(observations, model), model)
 
 
 def _present(path: Path, seed: int) -> JointInput:

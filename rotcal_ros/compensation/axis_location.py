@@ -26,7 +26,7 @@ from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 
 KIND: Final = "rotcal_axis_location"
-DECIMALS: Final = 6
+LENGTH_DECIMALS: Final = 6
 """Decimals of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
 
 
@@ -116,4 +116,4 @@ def _facts_of(line: AxisLine) -> dict[str, Any]:
 
 def rounded_lengths(values: Sequence[float] | Floats, unit_m: float = MILLIMETRE) -> Floats:
     """Return lengths (n,), m, in ``unit_m``, rounded as they are written."""
-    return np.round(np.asarray(values, dtype=np.float64) / unit_m, DECIMALS) + 0.0
+    return np.round(np.asarray(values, dtype=np.float64) / unit_m, LENGTH_DECIMALS) + 0.0

@@ -201,7 +201,7 @@ class Feed:
         """
         unfinished = self.open()
         entry = self._to_restore(kept_hash)
-        kept = self._journal.kept_before(entry)
+        kept = self._journal.backup_before(entry)
         present = self._store.read(kept)
         try:
             change = self._change(present, existing_files(kept))
@@ -220,7 +220,7 @@ class Feed:
 
     def next_restore(self) -> str | None:
         """Return the hash that undoes the last change, if there is one."""
-        entry = self._journal.to_undo()
+        entry = self._journal.last_undoable()
         return None if entry is None else entry.before_hash
 
     def unfinished(self) -> str | None:

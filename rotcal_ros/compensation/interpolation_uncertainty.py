@@ -70,8 +70,8 @@ def interpolation_std(curve: DirectionalCurve, weights: Weights, reference: floa
     variance = np.zeros(at.shape)
     for values, covariance in sides:
         content = fit_harmonic_kernels(curve.angles, values, covariance)
-        missed = np.sqrt(content.missed(inside, curve.angles, at.ravel()))
-        missed += np.sqrt(content.missed(zero, curve.angles, here))
+        missed = np.sqrt(content.interpolation_variance(inside, curve.angles, at.ravel()))
+        missed += np.sqrt(content.interpolation_variance(zero, curve.angles, here))
         # An error common to all values shifts the curve, and bends it nowhere between them.
         bending = centring @ covariance @ centring
         gained = propagated_variances(inside, bending) - np.max(
@@ -124,7 +124,7 @@ class HarmonicKernels:
         total = (size * damped_cosine_sum(cosine, decay) for decay, size in kinds if size > 0.0)
         return np.asarray(sum(total, np.zeros_like(cosine)), dtype=np.float64)
 
-    def missed(self, weights: Floats, nodes: Floats, at: Floats) -> Floats:
+    def interpolation_variance(self, weights: Floats, nodes: Floats, at: Floats) -> Floats:
         """Return the variance (m,) of the curve at ``at`` (m,) less ``weights`` @ its nodes.
 
         ``weights`` (m, n), whose rows add up to 1, are a line through exact values at ``nodes``

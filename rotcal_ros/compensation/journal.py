@@ -114,7 +114,7 @@ class Journal:
                 f"the old table in {path} cannot be read: {cause_of(error)}"
             ) from error
 
-    def kept_before(self, entry: JournalEntry) -> dict[str, str | None]:
+    def backup_before(self, entry: JournalEntry) -> dict[str, str | None]:
         """Return the contents from before ``entry``; ControllerError if changed since."""
         files = self.kept(entry.backup)
         if entry.before_hash != contents_hash(files):
@@ -124,7 +124,7 @@ class Journal:
             )
         return files
 
-    def to_undo(self) -> JournalEntry | None:
+    def last_undoable(self) -> JournalEntry | None:
         """Return the last change that was not undone, even one that a crash cut off."""
         stack: list[JournalEntry] = []
         for entry in self.entries():

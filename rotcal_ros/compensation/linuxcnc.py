@@ -10,6 +10,16 @@ The trim follows its table once in a servo period and has half of the joint's ve
 acceleration. At rest it makes a small change at once and ramps to a far one; between the two lies
 a dead band in which it stands still: from a quarter to half of MAX_ACCELERATION times the square
 of the servo period (compute_screw_comp in control.c).
+
+The place of rotary axes goes into pins of ``xyzac-trt-kins`` and ``xyzbc-trt-kins``. For a table
+that turns about C on one that tilts about A (or B) a point w of the work stands, with both angles
+counter-clockwise, at
+
+    r + d + Rx(A) (Rz(C) (w - r) - d)
+
+r are the pins x-, y-, z-rot-point, and d the pins y-offset and z-offset (x-offset and z-offset for
+B), to which tool-offset adds. So C stands at x-rot-point, y-rot-point; A lies at y-rot-point +
+y-offset, z-rot-point + z-offset. Source: trtfuncs.c of LinuxCNC 2.9, and runs of the program.
 """
 
 from __future__ import annotations
@@ -23,6 +33,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.compensation.axis_location import LENGTH_DECIMALS, rounded_lengths
 from rotcal_ros.compensation.controller import (
     Comment,
     EveryTurnController,
@@ -39,11 +50,6 @@ from rotcal_ros.compensation.controller_files import (
     repeat_for_turns,
     require_at_most,
 )
-from rotcal_ros.compensation.linuxcnc_kinematics import (
-    KINEMATICS,
-    kinematics_and_unit,
-    pins_in_hal,
-)
 from rotcal_ros.compensation.linuxcnc_machine import (
     AGENT,
     ENCODING,
@@ -54,13 +60,22 @@ from rotcal_ros.compensation.linuxcnc_machine import (
 )
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE, NANOSECOND, TURN
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, NANOSECOND, TURN
 from rotcal_ros.foundation.untrusted import read_bytes
 
+KINEMATICS: Final = ("xyzac-trt-kins", "xyzbc-trt-kins")
+SOURCE: Final = "LinuxCNC 2.9 source (trtfuncs.c) and runs of the program"
+UNITS: Final = {
+    **dict.fromkeys(("mm", "metric"), MILLIMETRE),
+    **dict.fromkeys(("in", "inch", "imperial"), 25.4 * MILLIMETRE),
+}
+"""Words of [TRAJ] LINEAR_UNITS."""
+HEIGHT_M: Final = 0.1
 MAX_ROWS: Final = 256
 POINTS_PER_ROW: Final = 24
 LINES: Final = ("COMP_FILE", "COMP_FILE_TYPE")
@@ -74,6 +89,77 @@ UNKNOWN_BACKLASH: Final = (
     "--set machine_ini=FILE"
 )
 DECIMALS: Final = 9
+
+
+def kinematics_and_unit(ini: IniFile) -> tuple[str, float]:
+    """Return kinematics and linear unit (m) of a machine; ConfigurationError for other ones."""
+    name = ((ini.value("KINS", "KINEMATICS") or "").split() or [""])[0]
+    if name not in KINEMATICS:
+        raise ConfigurationError(
+            f"{ini.path}: [KINS] KINEMATICS = {name or 'missing'} has no place for an axis, "
+            f"expected {' or '.join(KINEMATICS)}; with other kinematics the work offset takes it"
+        )
+    unit = (ini.value("TRAJ", "LINEAR_UNITS") or "").lower()
+    if unit not in UNITS:
+        raise ConfigurationError(
+            f"{ini.path}: [TRAJ] LINEAR_UNITS = {unit or 'missing'}, expected mm or inch"
+        )
+    return name, UNITS[unit]
+
+
+def pins_in_hal(
+    lines: Sequence[AxisLine], stem: str, head: Sequence[str], kinematics: str, unit_m: float
+) -> Located:
+    """Return the HAL lines that set the pins for ``lines``, in units of ``unit_m``.
+
+    Raises ConfigurationError if the axis that tilts is not that of the kinematics.
+    """
+    table, *tilting = lines
+    letter = kinematics[3].upper()
+    across = "yx"["AB".index(letter)]
+    if tilting and tilting[0].letter != letter:
+        raise ConfigurationError(
+            f"{kinematics} tilts about {letter}, and {tilting[0].letter} was measured: set "
+            f"kinematics to {next(k for k in KINEMATICS if k != kinematics)}"
+        )
+    point = table.point
+    values = {"x-rot-point": point[0], "y-rot-point": point[1]}
+    if tilting:
+        place = tilting[0].point
+        offset = place["xyz".index(across)] - values[f"{across}-rot-point"]
+        values |= {"z-rot-point": place[2], f"{across}-offset": offset, "z-offset": 0.0}
+    written = dict(
+        zip(values, rounded_lengths(list(values.values()), unit_m).tolist(), strict=True)
+    )
+    text = [*(f"# {line}" for line in head)]
+    text += [f"setp {kinematics}.{pin} {fixed(x, LENGTH_DECIMALS)}" for pin, x in written.items()]
+    notes = tuple(_left(table, tilting, letter, across))
+    files = {f"{stem}.hal": "\n".join(text) + "\n"}
+    return Located(files, {f"{kinematics}.{p}": x for p, x in written.items()}, SOURCE, notes)
+
+
+def _left(table: AxisLine, tilting: Sequence[AxisLine], letter: str, across: str) -> Iterator[str]:
+    """Yield in words what the pins cannot hold, of what is more than its uncertainty."""
+    if not tilting:
+        yield (
+            f"{letter} was not measured: {across}-offset counts from {across}-rot-point; change "
+            f"it by as much the other way, so that {letter} stays where it is"
+        )
+    for line in (table, *tilting):
+        if line.sense < 0:
+            yield (
+                f"{line.letter} turns clockwise (plan.chain), and these kinematics turn the work "
+                "counter-clockwise: reverse the sign of its joint, or of it in programs"
+            )
+        for name, angle, std in zip(line.names, line.value, line.std, strict=True):
+            if name[0] not in "ABC" or abs(angle) < COVERAGE_FACTOR * std:
+                continue
+            if line is table and name[0] == letter:
+                cure = f"the zero of {letter} can take it"
+            else:
+                cure = f"{HEIGHT_M / MILLIMETRE:g} mm away it makes "
+                cure += f"{abs(angle) * HEIGHT_M / MICROMETRE:.2g} um"
+            yield f"no pin holds {name} = {angle / ARCSEC:.3g} arcsec: {cure}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +336,7 @@ class LinuxCnc(EveryTurnController):
         if self.backlash_deg is None:
             return "" if table.adds_to else UNKNOWN_BACKLASH
         if not self.backlash_deg:
-            return self._joint(table.axis).misplaced if self.machine_ini else ""
+            return self._joint(table.axis).misplaced_backlash if self.machine_ini else ""
         about = f"BACKLASH = {self.backlash_deg:g} deg, which LinuxCNC ignores with a table"
         if table.adds_to:
             return f"{about}, did not act in the measurement either: nothing of it is added"
@@ -295,7 +381,7 @@ class LinuxCnc(EveryTurnController):
             return ()
         name, _ = only_file(files, ".comp")
         rows, joint = self.read(files).nominal_deg, self._joint(axis)
-        reasons = joint.not_using(folder / name, self.file_type)
+        reasons = joint.why_not_using(folder / name, self.file_type)
         beyond = joint.travel_beyond(rows[0], rows[-1])
         return tuple(reasons) if beyond is None else (*reasons, beyond)
 
@@ -392,7 +478,7 @@ class JointLimits:
     period: float
 
     @property
-    def at_once(self) -> float:
+    def largest_step(self) -> float:
         """The largest change (rad) that a trim at rest makes within one period."""
         return 0.25 * self.acceleration * self.period**2
 
@@ -405,12 +491,12 @@ class JointLimits:
     def stands(self, change: Floats) -> NDArray[np.bool_]:
         """Return whether a trim at rest stays where it is for these wanted changes (rad)."""
         size = np.abs(change)
-        above = size > self.at_once * (1.0 - EDGE)
+        above = size > self.largest_step * (1.0 - EDGE)
         return np.asarray(above & (size <= self.in_motion * (1.0 + EDGE)))
 
     def fastest_feed(self, steepest: float) -> float:
         """Return the feed (rad/s) up to which the trim follows a slope of ``steepest`` (1)."""
-        return self.at_once / (steepest * self.period) if steepest else np.inf
+        return self.largest_step / (steepest * self.period) if steepest else np.inf
 
     def behind(self, steepest: float, feed: float) -> float:
         """Return a bound (rad) on how far the trim is behind in motion; inf: without a bound.
@@ -425,7 +511,7 @@ class JointLimits:
             return float(np.inf)
         return self.in_motion + 2.0 * speed * self.period + 4.0 * speed**2 / self.acceleration
 
-    def left_standing(self, forward: Floats, reverse: Floats, closed: bool) -> float:
+    def residual_after_reversal(self, forward: Floats, reverse: Floats, closed: bool) -> float:
         """Return the most (rad) that remains after a slow reversal at any row and a slow move.
 
         ``forward`` and ``reverse`` (n,) rad are the trims at close angles that ascend; with
@@ -435,12 +521,12 @@ class JointLimits:
         away = self._left(forward, reverse, rows, closed)
         return max(away, self._left(reverse[::-1], forward[::-1], rows, closed))
 
-    def left_after_homing(
+    def residual_after_homing(
         self, forward: Floats, reverse: Floats, home: int, closed: bool
     ) -> float:
         """Return the most (rad) that remains in slow moves from row ``home``, where the trim is 0.
 
-        The other arguments are those of :meth:`left_standing`.
+        The other arguments are those of :meth:`residual_after_reversal`.
         """
         none, back = np.zeros_like(forward), len(forward) - 1 - home
         away = self._left(forward, none, np.array([home]), closed)
@@ -477,9 +563,9 @@ def trim_lag(
     ``home`` (rad) is the angle at which the axis is homed; there the trim begins with 0.
     """
     steepest = float(max(np.max(np.abs(np.gradient(t, angles))) for t in (forward, reverse)))
-    standing = following.left_standing(forward, reverse, closed)
+    standing = following.residual_after_reversal(forward, reverse, closed)
     row = int(np.argmin(np.abs(angles - (home % TURN if closed else home))))
-    at_first = following.left_after_homing(forward, reverse, row, closed)
+    at_first = following.residual_after_homing(forward, reverse, row, closed)
     behind = following.behind(steepest, feed)
     notes = []
     if standing:
@@ -493,7 +579,7 @@ def trim_lag(
 
 
 def _standing_note(following: JointLimits, standing: float, reversal: Floats) -> str:
-    low, high = np.array([following.at_once, following.in_motion]) / ARCSEC
+    low, high = np.array([following.largest_step, following.in_motion]) / ARCSEC
     sizes = np.abs(reversal) / ARCSEC
     return (
         f"a reversal asks LinuxCNC for changes of {np.min(sizes):.3g} to {np.max(sizes):.3g} "
@@ -504,7 +590,7 @@ def _standing_note(following: JointLimits, standing: float, reversal: Floats) ->
 
 
 def _homing_note(following: JointLimits, standing: float, home: float) -> str:
-    low, high = np.array([following.at_once, following.in_motion]) / ARCSEC
+    low, high = np.array([following.largest_step, following.in_motion]) / ARCSEC
     return (
         f"the trim is 0 when the axis has been homed, at {home / DEGREE:.6g} deg, and stands "
         f"still for changes of {low:.3g} to {high:.3g} arcsec: up to {standing / ARCSEC:.3g} "
@@ -534,7 +620,7 @@ def find_loaded_tables(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
     """
     for joint in all_joints(IniFile.read(path)):
         amount, table = joint.backlash_deg, joint.table_path
-        faults = [joint.misplaced] if joint.misplaced else []
+        faults = [joint.misplaced_backlash] if joint.misplaced_backlash else []
         size = f" deg ({amount * DEGREE / ARCSEC:.6g} arcsec)" if joint.is_angular else ""
         own = f"BACKLASH = {amount:g}{size}"
         if table is not None:

@@ -120,7 +120,7 @@ class Joint:
         return self.ini.number(self.section, "BACKLASH", 0.0)
 
     @property
-    def misplaced(self) -> str:
+    def misplaced_backlash(self) -> str:
         """That BACKLASH stands where LinuxCNC does not look for it; empty if it does not."""
         axis = f"AXIS_{self.letter}"
         value = self.ini.value(axis, "BACKLASH")
@@ -157,7 +157,7 @@ class Joint:
             )
         )
 
-    def not_using(self, table: Path, file_type: int) -> list[str]:
+    def why_not_using(self, table: Path, file_type: int) -> list[str]:
         """Return in words why this joint would not use ``table`` of that type."""
         if self.table_path is None:
             return [f"{self._where} names no table: COMP_FILE = {table.name} is missing"]

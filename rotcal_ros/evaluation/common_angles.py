@@ -128,7 +128,7 @@ def shared_covariance(
 
     ``alike``: they are of one component. Raises DataError where its effect on both is not known.
     """
-    here, there = first.raw_data.shared_with(second.raw_data)
+    here, there = first.raw_data.common_observations(second.raw_data)
     if not len(here):
         return None
     ours, theirs = first.raw_data.influence, second.raw_data.influence

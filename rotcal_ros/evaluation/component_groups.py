@@ -178,7 +178,7 @@ def _stands_for(surer: Curves, other: Curves) -> bool:
         return False
     here = next(iter(both))
     mine, theirs = surer[here].raw_data, other[here].raw_data
-    ours, _ = mine.shared_with(theirs)
+    ours, _ = mine.common_observations(theirs)
     if not len(ours) or len(ours) < min(len(mine.hashes), len(theirs.hashes)):
         return False
     if any(

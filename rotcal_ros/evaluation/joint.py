@@ -153,7 +153,7 @@ class _Shared:
         """By the name of an input the names of all that rest on the same observations."""
         found = {m.name: frozenset([m.name]) for m in self.inputs}
         for first, second in combinations(self.inputs, 2):
-            if len(first.raw_data.shared_with(second.raw_data)[0]):
+            if len(first.raw_data.common_observations(second.raw_data)[0]):
                 both = found[first.name] | found[second.name]
                 found |= dict.fromkeys(both, both)
         return found
@@ -385,7 +385,7 @@ class _Views:
     def of(cls, instruments: Sequence[JointInput]) -> _Views:
         inputs = [each.alone for each in instruments]
         for first, second in combinations(inputs, 2):
-            here, _ = first.raw_data.shared_with(second.raw_data)
+            here, _ = first.raw_data.common_observations(second.raw_data)
             if len(here):
                 raise DataError(
                     f"{first.name} and {second.name} share {len(here)} observations: solve one of "

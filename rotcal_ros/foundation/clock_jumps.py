@@ -54,7 +54,7 @@ class ClockWatch:
         self.count = 0
         self.ahead_ns = 0
 
-    def look(self) -> ClockJump | None:
+    def poll(self) -> ClockJump | None:
         """Return the jump since the last look, if there was one."""
         now_ns, ahead_ns = self._read()
         step_ns, self._ahead_ns = ahead_ns - self._ahead_ns, ahead_ns

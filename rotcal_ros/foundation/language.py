@@ -234,7 +234,7 @@ class Language:
             return text
         return self(text.template, *text.parts) if text.parts else self._known(text.template)
 
-    def knows(self, text: Phrase) -> bool:
+    def has_translation(self, text: Phrase) -> bool:
         """Return whether a phrase is of this language: words of its own are in the catalogue."""
         template = text.template
         return self.texts is None or bool(text.parts) or self._known(template) != template

@@ -55,12 +55,12 @@ class Influence:
         """Whether it is small enough to be kept with a result."""
         return sum(matrix.size for matrix in self.deviations.values()) <= MOST_INFLUENCES
 
-    def renumbered(self, number: Mapping[int, int]) -> Influence:
+    def with_row_numbers(self, number: Mapping[int, int]) -> Influence:
         """Return the same influences for renumbered observations."""
         rows = np.array([number[row] for row in self.rows.tolist()], dtype=np.int64)
         return replace(self, rows=rows)
 
-    def tied(self, to: Floats | csr_array) -> Influence:
+    def transformed(self, to: Floats | csr_array) -> Influence:
         """Return the influences on ``to`` (k, m) times the deviations (m,)."""
         return replace(self, deviations={c: to @ own for c, own in self.deviations.items()})
 
@@ -99,7 +99,7 @@ class RawData:
     influence: Influence | None = None
 
     @property
-    def dated(self) -> bool:
+    def has_times(self) -> bool:
         """Whether the observations have times."""
         return len(self.begun_ns) > 0
 
@@ -116,10 +116,10 @@ class RawData:
             return cls(hashes)
         return cls(hashes, begun, ended)
 
-    def tied(self, to: Floats | csr_array) -> RawData:
+    def transformed(self, to: Floats | csr_array) -> RawData:
         """Return the raw data of a result that is ``to`` (k, m) times this one."""
         found = self.influence
-        return self if found is None else replace(self, influence=found.tied(to))
+        return self if found is None else replace(self, influence=found.transformed(to))
 
     def of_curve(self, component: str) -> RawData:
         """Return the same with the influences on one component alone; None if it has none."""
@@ -129,28 +129,28 @@ class RawData:
             return replace(self, influence=found)
         return replace(self, influence=None)
 
-    def renumbered(self, number: Mapping[int, int]) -> RawData:
+    def with_row_numbers(self, number: Mapping[int, int]) -> RawData:
         """Return the same with other numbers of the observations that have an influence."""
         found = self.influence
-        return self if found is None else replace(self, influence=found.renumbered(number))
+        return self if found is None else replace(self, influence=found.with_row_numbers(number))
 
     def joined(self, other: RawData) -> RawData:
         """Return all observations of both; their influences are no longer known."""
         mine = set(self.hashes)
         more = np.array([h not in mine for h in other.hashes], dtype=np.bool_)
         hashes = self.hashes + tuple(np.array(other.hashes, dtype=object)[more])
-        if not (self.dated and other.dated):
+        if not (self.has_times and other.has_times):
             return RawData(hashes if self.hashes else other.hashes)
         begun = np.append(self.begun_ns, other.begun_ns[more])
         return RawData(hashes, begun, np.append(self.ended_ns, other.ended_ns[more]))
 
-    def shared_with(self, other: RawData) -> tuple[Ints, Ints]:
+    def common_observations(self, other: RawData) -> tuple[Ints, Ints]:
         """Return which observations are the same: numbers here and there (k,).
 
         They are those whose windows overlap; without dates those of equal values, unless they are
         so few that coarsely read values may agree by chance.
         """
-        if self.dated and other.dated:
+        if self.has_times and other.has_times:
             return self._at_the_same_time(other)
         places: dict[str, list[int]] = {}
         for j, own in enumerate(other.hashes):
@@ -174,7 +174,7 @@ class RawData:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for a file."""
         data: dict[str, Any] = {"sha256": list(self.hashes)}
-        if self.dated:
+        if self.has_times:
             data |= {"begun_ns": self.begun_ns.tolist(), "ended_ns": self.ended_ns.tolist()}
         if self.influence is not None and self.influence.kept:
             data["influence"] = self.influence.to_dict()

@@ -122,7 +122,7 @@ class FormReader(Protocol):
     ) -> Reading:
         """Return the table with one of our ``headers``; see :func:`~.table_forms.read_any`."""
 
-    def heads(self, path: Path) -> Iterable[tuple[str, ...]]:
+    def heading_rows(self, path: Path) -> Iterable[tuple[str, ...]]:
         """Yield the rows that may be the head of the table: the cells that are not empty."""
 
 

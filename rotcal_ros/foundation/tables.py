@@ -136,11 +136,15 @@ def is_table(path: Path) -> bool:
         return False
     with untrusted.open_plain(path) as file:
         begin = file.read(_LOOK)
-    utf16 = begin.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in begin
+    # UTF-16 without a mark, of letters that ASCII has: every second byte is zero
+    zeros = sorted(begin[parity::2].count(0) for parity in (0, 1))
+    utf16 = begin.startswith((b"\xff\xfe", b"\xfe\xff")) or (
+        zeros[0] == 0 and zeros[1] > len(begin) // 4
+    )
     if utf16 or begin.startswith(untrusted.WORKBOOKS):
         return ending in _TEXTS
     text = begin.decode("utf-8-sig", errors="replace")
-    return _SEPARATED.search(text) is not None
+    return "\0" not in text and _SEPARATED.search(text) is not None
 
 
 def is_workbook(path: Path) -> bool:

@@ -155,7 +155,7 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
         ),
         directions=_directions(result.deviations, spread, arrivals, from_first),
         zeros=result.zeros.mapped(tied),
-        raw_data=result.raw_data.tied(tied),
+        raw_data=result.raw_data.transformed(tied),
     )
     return with_steps(mean) if from_first else mean
 

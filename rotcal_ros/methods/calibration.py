@@ -260,7 +260,7 @@ class Calibration:
             require_settled(bound_s, capture)
         return arrival_std(bound_s, capture)
 
-    def stand_at(self, step: Step) -> Point | None:
+    def instrument_place(self, step: Step) -> Point | None:
         """Return where the instrument stands at a step (m, machine frame), if it stands apart."""
         places, rides = self._stations.places, self._stations.carried
         if not places:
@@ -274,12 +274,12 @@ class Calibration:
         return places[0] if places and self._stations.carried else None
 
     @cached_property
-    def beams_m(self) -> tuple[float, float]:
+    def beam_range_m(self) -> tuple[float, float]:
         """The shortest and the longest beam of the plan, m.
 
         Where the place of the instrument is not stated, by the distances between the targets.
         """
-        stands = [(step, self.stand_at(step)) for step in self.plan.steps]
+        stands = [(step, self.instrument_place(step)) for step in self.plan.steps]
         beams = [dist(step.position, at) for step, at in stands if at is not None]
         if beams:
             return min(beams), max(beams)
@@ -319,7 +319,7 @@ class Calibration:
         used = self._that_count(observations)
         return self.refraction.model_of_curves(used, partial(find, self.configuration, self.plan))
 
-    def unsolved(self, observations: Iterable[Observation], model: CurveModel) -> Result:
+    def without_solution(self, observations: Iterable[Observation], model: CurveModel) -> Result:
         """Return a result that says nothing: of observations that need those of others.
 
         ``model``: what they are with them. It has the components that its curves determine.
@@ -368,7 +368,7 @@ class Calibration:
         assert self.method.adaptive is not None
         return self.method.adaptive(self.configuration, self.plan)
 
-    def from_the_start(self, start_index: int = 0) -> Continuation:
+    def first_run(self, start_index: int = 0) -> Continuation:
         """Return the first run of the plan, from step ``start_index`` on."""
         steps = tuple(range(start_index, len(self.plan.steps)))
         return Continuation(self.configuration.plan_id, 0, start_index, (), steps, ())
@@ -389,7 +389,7 @@ class Calibration:
             from_step=from_step,
         )
 
-    def left_in_words(self, left: Continuation) -> str:
+    def describe_remaining(self, left: Continuation) -> str:
         """Say how far the plan is; with a goal only the policy knows how many steps it takes."""
         total, done, again = len(self.plan.steps), len(left.done), len(left.again)
         ahead = f"{len(left.steps) - again} of {total} steps are left"
@@ -458,7 +458,7 @@ def prepare_to_measure(configuration: Configuration) -> Calibration:
     calibration = prepare_whole(configuration)
     calibration.refraction.require_sources(configuration.capture)
     calibration.arrival_std()  # clocks may differ by more than an uncertainty can cover
-    calibration.policy(calibration.from_the_start())
+    calibration.policy(calibration.first_run())
     return calibration
 
 

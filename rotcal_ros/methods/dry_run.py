@@ -154,15 +154,15 @@ class DryRun:
 
     def _beams(self) -> Iterator[CheckLine]:
         most = self.calibration.configuration.capture.max_length_m
-        if self.calibration.stand_at(self._steps[0]) is None:
+        if self.calibration.instrument_place(self._steps[0]) is None:
             return
-        shortest, longest = self.calibration.beams_m
+        shortest, longest = self.calibration.beam_range_m
         state: State = "good" if longest <= most else "missing"
         todo = "" if state == "good" else "bring the targets nearer, or raise capture.max_length_m"
         found = f"{shortest / MILLIMETRE:.0f} to {longest / MILLIMETRE:.0f} mm"
         yield CheckLine(PART, "beams", state, f"{found} from where the instrument stands", todo)
 
-    def taking(self) -> tuple[float, str]:
+    def time_estimate(self) -> tuple[float, str]:
         """Return the time (s) of the plan, and what it rests on; DataError where none is known."""
         (seconds, why), each_s = self._measuring(), self.calibration.configuration.planner.pause_s
         works = sum(pause.again_from is None for pause in self.calibration.plan.pauses)
@@ -198,7 +198,7 @@ class DryRun:
 
     def _time(self) -> CheckLine:
         try:
-            seconds, why = self.taking()
+            seconds, why = self.time_estimate()
         except DataError:
             return CheckLine(PART, "time", "open", "not known: the table cannot go there")
         return CheckLine(PART, "time", "note", f"about {describe_duration(seconds)}, with {why}")

@@ -27,7 +27,7 @@ class StopSources:
         self._topic, self._names = topic, settings.stop_on_diagnostics
         self._stops: dict[str, str] = {}
 
-    def hear(self, stopped: bool, now_s: float) -> None:
+    def receive(self, stopped: bool, now_s: float) -> None:
         """Take a message of the topic."""
         self._note(self._topic, f"{self._topic} is true" if stopped else None, now_s)
 

@@ -45,7 +45,7 @@ class MeasurementInput:
     announce: Callable[[Reading], object] = field(default=str, compare=False)
 
     @property
-    def plain(self) -> bool:
+    def is_bare_path(self) -> bool:
         """Whether there is a path and nothing else."""
         return self == MeasurementInput(self.path)
 

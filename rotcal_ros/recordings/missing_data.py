@@ -54,16 +54,16 @@ class DropoutWithSteps:
     dropout: Dropout
     steps: tuple[int, ...]
 
-    def sentence(self) -> Phrase:
+    def describe(self) -> Phrase:
         """Return it in words."""
         if not self.steps:
-            return self.dropout.sentence()
+            return self.dropout.describe()
         few = len(self.steps) <= _NAMED
         if len(self.steps) == 1:
-            return phrase("{0}; step {1}", self.dropout.sentence(), self.steps[0])
+            return phrase("{0}; step {1}", self.dropout.describe(), self.steps[0])
         named = phrase("{0} to {1}, {2} in all", self.steps[0], self.steps[-1], len(self.steps))
         every = ", ".join(map(str, self.steps))
-        return phrase("{0}; steps {1}", self.dropout.sentence(), every if few else named)
+        return phrase("{0}; steps {1}", self.dropout.describe(), every if few else named)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form."""
@@ -95,7 +95,7 @@ def match_recorded_dropouts(
 
 def describe_dropouts(dropouts: Sequence[DropoutWithSteps]) -> tuple[Phrase, ...]:
     """Return dropouts in words; where there are many, the first ones."""
-    shown = tuple(dropout.sentence() for dropout in dropouts[:_SENTENCES])
+    shown = tuple(dropout.describe() for dropout in dropouts[:_SENTENCES])
     left = len(dropouts) - len(shown)
     return (*shown, phrase("and {0} more dropouts", left)) if left else shown
 

@@ -221,7 +221,7 @@ def _continuation(
 ) -> Continuation:
     """Return what a run continued from."""
     if run == 0:
-        return calibration.from_the_start()
+        return calibration.first_run()
     return calibration.continued(run, earlier)
 
 

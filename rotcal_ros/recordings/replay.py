@@ -138,7 +138,7 @@ class Recording:
         """Return a ``result`` of these observations with the warnings about the bag."""
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         warned = replace(result, warnings=(*result.warnings, *further))
-        short = self.session.missing or any(v.proves_loss for v in self.verdicts)
+        short = self.session.missing or any(v.shows_loss for v in self.verdicts)
         return warned.as_suspect() if short else warned
 
     def model_of_curves(self) -> CurveModel | None:
@@ -210,7 +210,7 @@ class Recording:
         """Return the warnings about the bag for the reader of a result."""
         texts = [*self.session.missing, *self.session.repaired]
         texts += [
-            phrase("{0}: {1}", v.path.name, v.sentence())
+            phrase("{0}: {1}", v.path.name, v.describe())
             for v in self.verdicts
             if v.state != "complete"
         ]
@@ -367,7 +367,7 @@ def _turns(
         found = configuration.method.of_turns(configuration, streams, str(asked.path))
     except DataError as error:
         verdicts = [scan.verdict() for scan in contents.scans]
-        damage = next((f"{v.path.name}: {v.sentence()}" for v in verdicts if not v.whole), "")
+        damage = next((f"{v.path.name}: {v.describe()}" for v in verdicts if not v.whole), "")
         raise DataError(f"{error}; {damage}") if damage else error from error
     offsets = [feeder.offset] * len(found.observations)
     return found.calibration, apply_clock_limit(found.observations, offsets, ()), feeder
@@ -450,7 +450,7 @@ def _allowed_disorder_ns(configuration: Configuration) -> int:
 def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
     """Raise BagError, with the first damage, if no file holds a message."""
     if not any(verdict.messages for verdict in verdicts):
-        bad = next((v.sentence() for v in verdicts if v.state != "complete"), "")
+        bad = next((v.describe() for v in verdicts if v.state != "complete"), "")
         raise BagError(
             f"the bag {path} holds no messages{bad and f' that can be read: {bad}'}; name "
             "another, or try rotcal bag repair"

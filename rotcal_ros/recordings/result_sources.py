@@ -69,7 +69,7 @@ def read_source(path: Path, given: MeasurementInput | None = None) -> ResultSour
     """
     given = given or MeasurementInput(path)
     session = SessionFolder(path)
-    if session.result.is_file() and given.plain:
+    if session.result.is_file() and given.is_bare_path:
         # The result of a file does not know its axis, its session does.
         known = session.configuration.is_file()
         axis = read_configuration(session.configuration).cell.axis if known else None
@@ -78,7 +78,7 @@ def read_source(path: Path, given: MeasurementInput | None = None) -> ResultSour
         return read_source(session.bag, replace(given, path=session.bag))
     if path.suffix != ".json":
         return solve_measurement(given.read())
-    if not given.plain:
+    if not given.is_bare_path:
         raise ConfigurationError(
             f"{path} is already a result: set-up, targets and changes belong to a bag or a table"
         )
@@ -144,7 +144,7 @@ def joint_input(name: str, measured: Recording | Measurements) -> JointInput:
         model = measured.model_of_curves()
         if model is None:
             raise
-        untold = measured.calibration.unsolved(measured.observations, model)
+        untold = measured.calibration.without_solution(measured.observations, model)
         if isinstance(measured, Recording):
             untold = measured.with_warnings(untold)
         if not isinstance(refused, ObservabilityError | GeometryError):

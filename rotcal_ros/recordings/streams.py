@@ -301,7 +301,7 @@ class StreamFeeder:
         rows = rows[np.argsort(rows["row"], kind="stable")]
         conventions = self._instruments.conventions
         sent = self._sent_ns(block, rows["row"])
-        rows["stamp_ns"] = conventions.taken_ns(part.role, rows["stamp_ns"], sent)
+        rows["stamp_ns"] = conventions.measured_at_ns(part.role, rows["stamp_ns"], sent)
         for name, convert in (
             ("length", conventions.length),
             ("angle", conventions.angle),

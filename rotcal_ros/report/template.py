@@ -68,7 +68,7 @@ def _sentence(spoken: Language, text: str) -> str:
 
 def _foreign(spoken: Language, text: Any) -> Markup:
     """Return the attribute of an element whose text, one of ours, no catalogue knows."""
-    unknown = isinstance(text, Phrase) and " " in text and not spoken.knows(text)
+    unknown = isinstance(text, Phrase) and " " in text and not spoken.has_translation(text)
     return Markup(' lang="en"' * unknown)
 
 

@@ -264,7 +264,7 @@ def _show(
         _raise_gone(folder)
     if event["event"] in ("line", "page"):
         display.line(event["text"])
-    display.line(person.hear(event))
+    display.line(person.receive(event))
     if event["event"] == "feedback":
         display.feedback(event)
 

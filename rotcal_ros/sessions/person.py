@@ -93,7 +93,7 @@ class SessionOperator:
         self._code = int(Why.UNKNOWN)
         self.instruction = ""
 
-    def hear(self, event: Mapping[str, Any]) -> str | None:
+    def receive(self, event: Mapping[str, Any]) -> str | None:
         """Handle an event of the client; return what the person has to read, None: nothing."""
         if event["event"] == "paused":
             self._asked, self._confirmed = True, False

@@ -165,7 +165,7 @@ def _follow(nodes: RunningSession, person: SessionOperator, viewers: Viewers) ->
                 _tell_page(f"page: {event['address']}", display, viewers)
                 continue
             viewers.publish(event)
-            display.line(person.hear(event))
+            display.line(person.receive(event))
             if event["event"] == "feedback":
                 display.feedback(event)
 

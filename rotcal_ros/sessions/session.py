@@ -253,7 +253,7 @@ def resume_session(source: Path | None, path: Path, changes: Sequence[str]) -> S
     session = Session(calibration, folder, continuation)
     session.log_folder.mkdir(exist_ok=True)
     write_atomically(folder.continuation(continuation.run), continuation.to_json())
-    say(calibration.left_in_words(continuation))
+    say(calibration.describe_remaining(continuation))
     return session
 
 

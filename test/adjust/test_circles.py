@@ -262,7 +262,7 @@ def test_the_closed_form_of_a_complete_grid_is_the_pseudo_inverse(size, steps):
     among = design.dense() @ inverse
     # in the order of reading, and at each place of the table: the latter are alike
     for groups in (every.reshape(-1, len(shifts)), every.reshape(len(shifts), -1).T):
-        kinds, kind = found.among_each(groups)
+        kinds, kind = found.hat_blocks(groups)
         for rows, each in zip(groups, kinds[kind], strict=True):
             assert each == pytest.approx(among[np.ix_(rows, rows)], abs=1e-12)
 

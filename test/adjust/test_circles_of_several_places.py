@@ -80,7 +80,7 @@ def test_squares_between_components_are_those_of_the_whole_matrix():
     kernel = found.with_extra(np.random.default_rng(1).standard_normal((len(found.weight), 2)))
     kernel = kernel.weighted(np.where(found.turns.turn % 2, 2.0, 1.0)).kernel()
     parts = np.stack([found.turns.turn % 2 == 0, found.turns.turn % 2 == 1])
-    among = kernel.among(np.arange(len(found.weight)))
+    among = kernel.hat_block(np.arange(len(found.weight)))
     np.testing.assert_allclose(kernel.shared(parts), parts @ among**2 @ parts.T, atol=1e-9)
 
 

@@ -757,4 +757,4 @@ def test_a_move_in_two_ways_is_looked_for_from_every_moment_on():
     assert Steps(np.zeros(1, dtype=np.int64), np.zeros(1), np.ones((1, 2))).whole().shape == (1, 0)
     many = np.arange(2100)
     moves = Steps(0 * many, many.astype(np.float64), np.ones((2100, 2)))
-    assert moves.fewer(1000).whole().shape == (2100, 2100)
+    assert moves.thinned(1000).whole().shape == (2100, 2100)

@@ -142,7 +142,7 @@ def test_sound_data_whose_noise_was_estimated_are_suspected_no_more_often(e, cou
         errors = 3.0 * np.random.default_rng(seed).standard_normal(len(design))
         squares = float((residuals(design, errors) ** 2).sum())
         found = judge(stations(design, count, e, near, errors)[1], rest=(squares, freedom))
-        alarms += found.chance < 0.02
+        alarms += found.false_alarm_probability < 0.02
     assert alarms <= 12  # as above
 
 

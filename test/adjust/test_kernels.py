@@ -48,7 +48,7 @@ def agrees(kernel, expected, random):
     assert expected.design @ kernel.directions == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.matrix_rank(kernel.directions, tol=1e-9) == p - expected.rank
     assert alike(kernel.leverage, np.diagonal(expected.hat))
-    assert alike(kernel.among(some), expected.hat[np.ix_(some, some)])
+    assert alike(kernel.hat_block(some), expected.hat[np.ix_(some, some)])
     assert alike(kernel.projected(white), expected.hat @ white)
     assert alike(told @ kernel.solve(white), carried @ white)
     assert alike(told @ kernel.solve(white[:, 0]), carried @ white[:, 0])
@@ -62,8 +62,8 @@ def agrees(kernel, expected, random):
     assert alike(kernel.covariance_of(outputs), carried @ carried.T)
     pairs = random.integers(n, size=(2, n))
     products = carried[:, pairs[0]] * carried[:, pairs[1]] @ share.T
-    assert alike(kernel.products_of(outputs, *pairs, share), products)
-    assert alike(kernel.squares_between(share), share @ expected.hat**2 @ share.T)
+    assert alike(kernel.output_products(outputs, *pairs, share), products)
+    assert alike(kernel.hat_square_sums(share), share @ expected.hat**2 @ share.T)
     assert alike(kernel.response(outputs, some), carried[:, some])
     assert alike(kernel.sensitivity(outputs, some).dense(), carried[:, some])
     if expected.rank == p > 2:  # each unknown by itself
@@ -196,7 +196,9 @@ def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, w
     rest = design.weighted(share)
     expected = Reference(np.hstack([rest.dense(), extra]))
     assume(expected.firm)
-    assume(np.abs(np.linalg.eigvalsh(np.eye(left_out) - base.among(out))).min(initial=1.0) > 1e-4)
+    assume(
+        np.abs(np.linalg.eigvalsh(np.eye(left_out) - base.hat_block(out))).min(initial=1.0) > 1e-4
+    )
     kernel = LowRankUpdateKernel.of(
         base, rest, share, (design.rows(out), -np.ones(left_out)), extra
     )
@@ -222,7 +224,7 @@ def test_what_many_rows_show_together(form, each):
             random.standard_normal((302, 1)),
         ),
     }[form]()  # fmt: skip
-    values, vectors = np.linalg.eigh(np.eye(len(rows)) - kernel.among(rows))
+    values, vectors = np.linalg.eigh(np.eye(len(rows)) - kernel.hat_block(rows))
     seen = values > 1e-6
     assert len(rows) - seen.sum() == 39 * (each == 5)  # one combination of them is known
     white = (vectors * values) @ random.standard_normal(len(rows))
@@ -252,5 +254,5 @@ def test_sums_over_places_of_circles_by_their_orders(size, left_out, seed):
     second = np.where(first < size, first + size, first)
     share = random.random((2, 2 * size))
     products = carried[:, first] * carried[:, second] @ share.T
-    assert alike(kernel.products_of(outputs, first, second, share), products)
+    assert alike(kernel.output_products(outputs, first, second, share), products)
     assert alike(kernel.covariance_of(outputs), carried @ carried.T)

@@ -135,7 +135,7 @@ def test_moves_are_seen_by_both(ways):
     white = move.whole() / SIGMA
     sums = np.ones(M) @ np.linalg.pinv(indicators((np.repeat(np.arange(M), READ), M))) * SIGMA
     root = np.sqrt(sums @ sums + 2e-7**2)
-    left = np.vstack([fit.left_of(white), sums @ white / root])
+    left = np.vstack([fit.residuals_of(white), sums @ white / root])
     expected = left.T @ left
     for each in (one, two):
         k, w = each.score.shape

@@ -29,7 +29,7 @@ def test_all_encodings_are_read_in_every_storage_preset(preset: str, tmp_path: P
     path.write_bytes(small_bag.small_bag(**PRESETS[preset]))
     found = small_bag.read(path)
     assert found.messages == small_bag.truth()
-    assert found.verdict.sentence() == "complete"
+    assert found.verdict.describe() == "complete"
     by_topic = {channel.topic: channel for channel in found.scan.channels.values()}
     assert by_topic.keys() == {*small_bag.SCHEMAS, small_bag.NONE}
     for topic, (name, encoding, data, messages) in small_bag.SCHEMAS.items():

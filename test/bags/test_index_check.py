@@ -86,7 +86,7 @@ def test_each_fault_is_named_and_costs_nothing(case: str, tmp_path: Path) -> Non
     assert found.messages == small_bag.truth()
     unclear = "disagree" in named  # nobody knows which of the two is right
     assert found.verdict.state == ("damaged" if unclear else "index wrong")
-    said = found.verdict.sentence()
+    said = found.verdict.describe()
     assert unclear or said.startswith("data sound, index wrong at byte"), said
     assert any(named in damage.what for damage in found.verdict.damages), found.verdict.damages
     assert found.verdict.lost == 0

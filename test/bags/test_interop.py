@@ -179,7 +179,7 @@ def test_compressed_bags_are_read_and_repaired_for_everybody(
         (tmp_path / "zipped" / "metadata.yaml").unlink()
     found, (verdict,) = read(tmp_path / "zipped")
     assert found == expected
-    assert verdict.sentence() == "complete"
+    assert verdict.describe() == "complete"
     repair(tmp_path / "zipped", tmp_path / "good")
     with Reader(tmp_path / "good") as reader:
         assert [bytes(data) for _, _, data in reader.messages()] == [data for _, data in expected]

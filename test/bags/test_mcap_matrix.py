@@ -54,7 +54,7 @@ def test_every_variant_is_complete_and_holds_what_it_should(
             for a in items
             if isinstance(a, Attachment)
         )
-        assert scan.verdict().sentence() == "complete", name
+        assert scan.verdict().describe() == "complete", name
         assert messages == list(content.messages), name
         assert attachments == content.attachments, name
         assert scan.metadata == content.metadata, name

@@ -173,7 +173,7 @@ def test_the_setting_that_is_named_lets_it_pass(tmp_path: Path) -> None:
         named = next(d.what for d in refused.damages if "reading.chunk_bytes=" in d.what)
         assert of in named
         value = int(named.partition("reading.chunk_bytes=")[2].split()[0])
-    assert verdict_of(path, chunk_bytes=value).sentence() == "complete"
+    assert verdict_of(path, chunk_bytes=value).describe() == "complete"
 
 
 def test_limits_are_set_on_the_command_line(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def written(folder: Path, records: tuple[bytes, ...]) -> Path:
 @pytest.mark.parametrize("case", SOUND)
 def test_what_is_in_place_is_complete(case: str, tmp_path: Path) -> None:
     found = small_bag.read(written(tmp_path, SOUND[case]))
-    assert found.verdict.sentence() == "complete"
+    assert found.verdict.describe() == "complete"
     assert found.verdict.messages == 1
 
 

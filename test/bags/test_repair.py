@@ -114,7 +114,7 @@ def test_sound_bag_keeps_sequence_and_times(run_bag: Path, tmp_path: Path) -> No
     with copied.open("rb") as file:
         notes = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
     record = notes["rotcal_repair"]
-    assert record["run_0.mcap"] == verdict.sentence()
+    assert record["run_0.mcap"] == verdict.describe()
     assert record["run_0.mcap sha256"] == sha256(verdict.path.read_bytes()).hexdigest()
     assert (record["run_0.mcap lost"], record["run_0.mcap damages"]) == ("{}", "[]")
-    assert "complete" in verdict.sentence()
+    assert "complete" in verdict.describe()

@@ -70,7 +70,7 @@ def test_a_bag_written_by_rosbags_is_solved_as_it_was_recorded(
 def test_frames_and_capitals_as_anybody_may_pack_it(plain: bytes, tmp_path: Path) -> None:
     halves = zstandard.compress(plain[:5000]) + zstandard.compress(plain[5000:])
     verdict = read(tmp_path / "BAG.DB3.ZSTD", halves)
-    assert (verdict.sentence(), verdict.messages) == ("complete", 60)
+    assert (verdict.describe(), verdict.messages) == ("complete", 60)
 
 
 def test_what_is_left_of_a_cut_file_is_read(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_a_wrong_checksum_of_zstd_is_told(plain: bytes, tmp_path: Path) -> None:
     verdict = read(tmp_path / "bag.db3.zstd", bytes(packed))
     assert verdict.state == "damaged"
     assert 40 < verdict.messages < 60
-    assert "cannot be unpacked after byte" in verdict.sentence()
+    assert "cannot be unpacked after byte" in verdict.describe()
 
 
 @pytest.mark.parametrize(

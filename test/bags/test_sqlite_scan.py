@@ -64,7 +64,7 @@ def test_a_damaged_page_costs_the_rows_about_it_and_their_ids_count_them(path: P
     assert 0 < 60 - len(found) == verdict.lost < 30
     assert {MESSAGES[0], MESSAGES[59]} < set(found)
     assert found == [message for message in MESSAGES if message in found]
-    assert verdict.sentence().startswith("damaged at byte ")
+    assert verdict.describe().startswith("damaged at byte ")
     assert any("sqlite3 .recover may save more" in damage.what for damage in verdict.damages)
     (after,) = repair(path, path.parent / "good").after
     assert (after.state, after.messages) == ("complete", len(found))
@@ -148,7 +148,7 @@ def test_a_topic_that_others_cannot_name_is_told(change: str, path: Path) -> Non
         database.execute(change)
     found, verdict = read(path)
     assert found == MESSAGES
-    assert "a name or type that is not UTF-8" in verdict.sentence()
+    assert "a name or type that is not UTF-8" in verdict.describe()
     (after,) = repair(path, path.parent / "good").after
     assert (after.state, after.messages) == ("complete", 60)
 
@@ -203,7 +203,7 @@ def test_the_dropouts_of_a_converted_bag_are_shown(path: Path) -> None:
             database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?,?,?)", row)
     _, verdict = read(path)
     assert verdict.dropouts == (Dropout("/cell/a", 7, 9, 3, "a test"),)
-    assert "3 messages missing between 1970-01-01" in verdict.dropouts[0].sentence()
+    assert "3 messages missing between 1970-01-01" in verdict.dropouts[0].describe()
     assert match_recorded_dropouts((verdict,))[0].dropout == verdict.dropouts[0]
 
 

@@ -24,32 +24,32 @@ def test_an_echo_answers_an_order_whichever_comes_first():
     answers = OrderAnswers()
     answers.order(order(0))
     assert "step 0, attempt 0: no point on probe_point" in answers.unanswered_order()
-    assert answers.complaint() is None
-    answers.hear(answer(0))
-    answers.hear(answer(1))  # faster than its order
+    assert answers.current_fault() is None
+    answers.receive(answer(0))
+    answers.receive(answer(1))  # faster than its order
     answers.order(order(1))
     assert answers.unanswered_order() is None
-    assert answers.complaint() is None
+    assert answers.current_fault() is None
     assert answers.unanswered == 0
 
 
 def test_an_unasked_point_answers_nothing():
     answers = OrderAnswers()
     answers.order(order(0))
-    answers.hear(answer(0, kind=PointKind.UNKNOWN))
+    answers.receive(answer(0, kind=PointKind.UNKNOWN))
     assert answers.unanswered_order()
-    assert not answers.complaint()
+    assert not answers.current_fault()
 
 
 def test_who_echoes_something_else_is_told_both():
     answers = OrderAnswers()
     answers.order(order(0, attempt=1))
-    answers.hear(answer(0, attempt=0))
-    assert "step 0, attempt 1: no point" in answers.complaint()
-    assert "names step 0, attempt 0: the machine must echo both" in answers.complaint()
+    answers.receive(answer(0, attempt=0))
+    assert "step 0, attempt 1: no point" in answers.current_fault()
+    assert "names step 0, attempt 0: the machine must echo both" in answers.current_fault()
     answers.order(order(0, attempt=2))
     assert answers.unanswered == 1
-    assert answers.complaint() is None
+    assert answers.current_fault() is None
 
 
 def test_the_capture_counts_what_was_not_answered_and_says_it():
@@ -63,7 +63,7 @@ def test_the_capture_counts_what_was_not_answered_and_says_it():
                     capture.feed(record)
     assert capture.counts["command"] == {"received": 3, "unanswered": 1}
     assert capture.counts["probe"]["duplicates"] == 2
-    assert "names step 0, attempt 0" in capture.complaint()
+    assert "names step 0, attempt 0" in capture.current_fault()
     assert "names step 0, attempt 0" in capture.waiting_for
 
 
@@ -87,7 +87,7 @@ def test_a_machine_that_never_answers_is_told_once_table_and_probe_have_stood(
         unasked = replace(answer(1, kind=PointKind.UNKNOWN), stamp_ns=t * SECOND // 10)
         capture.feed(replace(unasked, position=place))
         assert capture.counts  # a beat
-        said[t // 10] = capture.complaint()
+        said[t // 10] = capture.current_fault()
     first = min((s for s, text in said.items() if text), default=None)
     assert first == told_s
     assert told_s is None or "table and probe stand still" in said[11]

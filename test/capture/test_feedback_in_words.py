@@ -60,8 +60,8 @@ def test_a_table_that_is_not_in_position_is_told_long_before_the_attempt_is_give
     said, hopeless = {}, {}
     for record in scene.by_stamp():
         capture.feed(record)
-        said[record.stamp_ns // SECOND] = capture.complaint()
-        hopeless[record.stamp_ns // SECOND] = capture.hopeless()
+        said[record.stamp_ns // SECOND] = capture.current_fault()
+        hopeless[record.stamp_ns // SECOND] = capture.why_unmeasurable()
     assert said[3] is None
     assert "table position 1, target 0: table not at rest in position" in said[5]
     assert "degrees?" in said[5]
@@ -91,7 +91,7 @@ def test_only_what_no_patience_mends_is_hopeless(feedback, since_ns, words):
     scene.edit("table", lambda r: replace(r, **feedback), since_ns, 7 * SECOND)
     for record in scene.by_stamp():
         capture.feed(record)
-    hopeless = capture.hopeless()
+    hopeless = capture.why_unmeasurable()
     assert (words is None) == (hopeless is None)
     assert words is None or words in hopeless
 
@@ -112,7 +112,7 @@ def test_a_table_of_the_wrong_sign_is_named_at_the_first_attempt(stood, named):
         capture.feed(record)
     if named:
         assert "says -28.6479 deg where +28.6479 deg was commanded: is a sign wrong?" in (
-            capture.hopeless()
+            capture.why_unmeasurable()
         )
     else:
-        assert capture.hopeless() is None
+        assert capture.why_unmeasurable() is None

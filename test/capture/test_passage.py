@@ -251,7 +251,7 @@ def complaints(plan, *streams, orders):
     records = [(r.stamp_ns, r) for stream in streams for r in stream] + given
     for stamp_ns, record in sorted(records, key=lambda each: each[0]):
         capture.feed(record)
-        said[(stamp_ns - START) // SECOND] = capture.complaint()
+        said[(stamp_ns - START) // SECOND] = capture.current_fault()
     return said
 
 

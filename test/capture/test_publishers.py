@@ -68,7 +68,7 @@ def test_a_run_hears_those_with_whom_it_began(accepted, events, expected):
 def test_publishers_are_counted_with_identities_and_without(origins, count):
     heard = HeardPublishers()
     for origin in origins:
-        heard.hear(MessageOrigin(*origin))
+        heard.receive(MessageOrigin(*origin))
     assert len(heard) == count
 
 
@@ -131,10 +131,10 @@ def test_the_next_run_begins_without_intruders_and_the_same_words_change_nothing
 
 def test_all_listeners_read_the_same_words():
     accepted = PublisherList({POINTS: (OURS, THIRD), LENGTHS: (STRAY,)})
-    assert PublisherList.read(accepted.in_a_beat()) == accepted
+    assert PublisherList.read(accepted.to_heartbeat()) == accepted
     turned = PublisherList({LENGTHS: (STRAY,), POINTS: (OURS, THIRD)})
-    assert turned.in_a_beat() == accepted.in_a_beat()
-    assert PublisherList().in_a_beat() == ""
+    assert turned.to_heartbeat() == accepted.to_heartbeat()
+    assert PublisherList().to_heartbeat() == ""
     for torn in ("", "{", "[]", "3", '{"a": 3}'):
         assert PublisherList.read(torn) == PublisherList()
 
@@ -162,7 +162,7 @@ def heard_in(offers, beats=BEATS, tick_s=0.2):
             goals_run = beats[at]
         for plan in [plan for plan, at in offers.items() if at <= now]:
             heard.offer(plan, plan, offers.pop(plan))
-        for plan, whose in heard.judged(goals_run, now):
+        for plan, whose in heard.with_known_owner(goals_run, now):
             assert plan not in found
             found[plan] = whose, round(now - came[plan], 1)
     return found
@@ -212,6 +212,6 @@ def test_the_same_plan_again_is_judged_once_while_it_waits():
     heard = PendingPlans()
     for now in (0.0, 0.5, 1.0):
         heard.offer("stranger", "plan", now)
-        assert list(heard.judged("ours", now)) == []
-    assert list(heard.judged("ours", PATIENCE_S + 0.1)) == [("plan", NOT_OURS)]
-    assert list(heard.judged("ours", 9.0)) == []
+        assert list(heard.with_known_owner("ours", now)) == []
+    assert list(heard.with_known_owner("ours", PATIENCE_S + 0.1)) == [("plan", NOT_OURS)]
+    assert list(heard.with_known_owner("ours", 9.0)) == []

@@ -81,11 +81,11 @@ def test_three_running_are_an_alarm_and_an_accepted_one_ends_it():
     alarms = []
     for number in range(3):
         rejections.note(rejected("beam broken", attempt=number), 0.0)
-        alarms.append(rejections.alarming)
+        alarms.append(rejections.is_alarming)
     assert alarms == [False, False, True]
     assert rejections.describe() == "3 attempts rejected in a row, 3 of 3 like this: beam broken"
     rejections.note(ACCEPTED, 1.0)
-    assert not rejections.alarming
+    assert not rejections.is_alarming
     assert rejections.describe() is None
 
 

@@ -110,16 +110,16 @@ def test_probe_points_are_held_against_the_table_as_they_come(delays, is_told):
 
 def test_what_is_measured_meanwhile_is_rejected_with_the_reason():
     offsets = StampOffsets(OffsetLimits(1.0))
-    assert offsets.judged(ACCEPTED) == ACCEPTED
+    assert offsets.check_clocks(ACCEPTED) == ACCEPTED
     for number in range(200):
         now = START + number * 20 * MS
         offsets.note("joint_states", now, now)
         offsets.note("tracer_length", now - 4 * SECOND, now)
     reason = offsets.reason_to_reject()
     assert reason
-    assert offsets.judged(ACCEPTED) == replace(ACCEPTED, accepted=False, reason=reason)
+    assert offsets.check_clocks(ACCEPTED) == replace(ACCEPTED, accepted=False, reason=reason)
     beaten = replace(ACCEPTED, accepted=False, reason="beam broken")
-    assert offsets.judged(beaten) == beaten
+    assert offsets.check_clocks(beaten) == beaten
 
 
 @pytest.mark.parametrize("others", [[], [f"other_{letter}" for letter in "zyxwvutsr"]])

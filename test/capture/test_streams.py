@@ -121,10 +121,10 @@ def test_a_sample_again_is_the_same_in_every_bit_no_number_included():
 
 def test_index_and_knowledge():
     stream = Stream(1, TOLERANCE)
-    assert not stream.knows(0)
+    assert not stream.is_complete_until(0)
     stream.admit(np.array([10, 20, 30]), np.zeros((3, 1)))
     assert [stream.index(at) for at in (9, 10, 11, 20, 30, 31)] == [0, 0, 1, 1, 2, 3]
-    assert [stream.knows(at) for at in (10, 30, 31)] == [True, True, False]
+    assert [stream.is_complete_until(at) for at in (10, 30, 31)] == [True, True, False]
 
 
 # When a decision is due.

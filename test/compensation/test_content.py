@@ -37,7 +37,7 @@ def test_what_a_spline_misses_is_the_sum_over_its_errors():
         for wave in (np.cos, np.sin):
             missed = wave(k * at) - spline(wave(k * NODES))
             expected += (4.0 * 0.5**k + 9.0 * 0.2**k) * missed**2
-    found = content.missed(spline(np.eye(len(NODES))), NODES, at)
+    found = content.interpolation_variance(spline(np.eye(len(NODES))), NODES, at)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 

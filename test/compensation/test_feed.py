@@ -295,27 +295,27 @@ def test_a_controller_that_does_not_answer(cell):
     store.hang.set()
 
 
-def test_what_is_read_back_differently_is_put_back(cell):
+def after_a_failure(cell, damage, words):
+    """Return a feed whose second table failed, and what the controller held before."""
     good = cell.feed()
     applied(good, table_of())
     good.close()
     held = cell.files()
-    feed = cell.feed(Broken(cell.folder, 20.0, damage=1))
-    with pytest.raises(ControllerError, match=r"differ from what was written; the old table"):
+    feed = cell.feed(Broken(cell.folder, 20.0, damage=damage))
+    with pytest.raises(ControllerError, match=words):
         applied(feed, table_of(1.5))
+    return feed, held
+
+
+def test_what_is_read_back_differently_is_put_back(cell):
+    feed, held = after_a_failure(cell, 1, r"differ from what was written; the old table")
     assert cell.files() == held
     undone(feed)  # takes back the application before, not the one that failed
     assert cell.files() == {}
 
 
 def test_when_putting_back_fails_too_the_old_table_is_named(cell):
-    good = cell.feed()
-    applied(good, table_of())
-    good.close()
-    held = cell.files()
-    feed = cell.feed(Broken(cell.folder, 20.0, damage=2))
-    with pytest.raises(ControllerError, match=r"not known what .* holds\. The old table is in"):
-        applied(feed, table_of(1.5))
+    feed, held = after_a_failure(cell, 2, r"not known what .* holds\. The old table is in")
     undone(feed)
     assert cell.files() == held
 

@@ -251,7 +251,7 @@ def test_entries_come_back_in_their_order(tmp_path):
     journal = Journal(tmp_path)
     assert journal.entries() == []
     assert journal.last_restore_ns() == 0
-    assert journal.to_undo() is None
+    assert journal.last_undoable() is None
     written = [replace(ENTRY, time_ns=k, backup=f"b{k}") for k in range(3)]
     for entry in written:
         journal.note(entry)
@@ -312,11 +312,11 @@ def test_what_is_undone_next(tmp_path, events, undo, restored_ns):
         if event[0] == "A":
             wanted = f"table {event}"
         elif event[0] == "B":
-            wanted = journal.to_undo().before_hash
+            wanted = journal.last_undoable().before_hash
         action = actions.get(event[0], "restored")
         journal.note(JournalEntry(action, int(event[1:]), "ab", event, held, wanted))
         held = wanted if event[0] in "aR" else held
-    found = journal.to_undo()
+    found = journal.last_undoable()
     assert (found and found.backup) == undo
     assert journal.last_restore_ns() == restored_ns
 

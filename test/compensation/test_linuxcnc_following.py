@@ -61,7 +61,7 @@ def step(following, goal, trim, speed):
     ("following", "low", "high"), [(FAST, 18.0, 36.0), (SLOW, 3.24, 6.48)]
 )  # a quarter and half of MAX_ACCELERATION * SERVO_PERIOD^2, in arcsec
 def test_the_dead_band_is_a_quarter_to_half_of_what_the_acceleration_gives(following, low, high):
-    assert following.at_once / ARCSEC == pytest.approx(low)
+    assert following.largest_step / ARCSEC == pytest.approx(low)
     assert following.in_motion / ARCSEC == pytest.approx(high)
     changes = np.array([0.97 * low, 1.03 * low, 0.97 * high, 1.03 * high, 9 * high]) * ARCSEC
     made = trims(following, np.tile(changes, (300, 1)))[-1]
@@ -71,7 +71,7 @@ def test_the_dead_band_is_a_quarter_to_half_of_what_the_acceleration_gives(follo
 
 def test_a_joint_of_little_speed_has_no_dead_band():
     slow = JointLimits(20000 * DEGREE, 8 * DEGREE, 0.001)  # 4 deg/s are reached in half a period
-    assert slow.in_motion < slow.at_once
+    assert slow.in_motion < slow.largest_step
     changes = np.linspace(1.0, 60.0, 60) * ARCSEC
     assert not np.any(slow.stands(changes))
     assert trims(slow, np.tile(changes, (400, 1)))[-1] == pytest.approx(changes, abs=1e-12)
@@ -98,9 +98,11 @@ def test_a_table_that_rises_faster_than_the_trim_can_is_farther_and_farther_behi
 def test_what_stays_after_a_reversal_is_that_of_the_worst_place():
     forward = np.zeros(361)
     reverse = np.concatenate([np.full(180, 10.0), np.linspace(10.0, 30.0, 181)]) * ARCSEC
-    assert FAST.left_standing(forward, reverse, closed=False) == pytest.approx(30 * ARCSEC)
-    assert FAST.left_standing(forward, np.full(361, 17 * ARCSEC), closed=True) == 0.0
-    assert FAST.left_standing(forward, np.full(361, 37 * ARCSEC), closed=True) == 0.0
+    assert FAST.residual_after_reversal(forward, reverse, closed=False) == pytest.approx(
+        30 * ARCSEC
+    )
+    assert FAST.residual_after_reversal(forward, np.full(361, 17 * ARCSEC), closed=True) == 0.0
+    assert FAST.residual_after_reversal(forward, np.full(361, 37 * ARCSEC), closed=True) == 0.0
 
 
 def test_after_homing_the_trim_waits_at_zero_until_it_may_move():
@@ -108,10 +110,10 @@ def test_after_homing_the_trim_waits_at_zero_until_it_may_move():
     ramp = np.arange(61.0) * ARCSEC
     stays = {10: 0.0, 25: 36.0, 50: 0.0}  # upwards it is left at 36, downwards at 18
     for home, left in stays.items():
-        found = FAST.left_after_homing(ramp, ramp, home, closed=False)
+        found = FAST.residual_after_homing(ramp, ramp, home, closed=False)
         assert found / ARCSEC == pytest.approx(left)
     flat = np.full(61, 25.0) * ARCSEC
-    assert FAST.left_after_homing(flat, 0.0 * flat, 3, closed=True) == pytest.approx(flat[0])
+    assert FAST.residual_after_homing(flat, 0.0 * flat, 3, closed=True) == pytest.approx(flat[0])
 
 
 @pytest.mark.parametrize(

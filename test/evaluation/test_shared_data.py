@@ -200,7 +200,7 @@ def test_windows_tell_what_was_captured_again_with_other_settings(tracer):
         replace(o, mean=(o.mean[0] + 1e-9,), window_start_ns=o.window_start_ns + 10**7)
         for o in every
     ]
-    here, there = RawData.of(every, DATED_NS).shared_with(RawData.of(again, DATED_NS))
+    here, there = RawData.of(every, DATED_NS).common_observations(RawData.of(again, DATED_NS))
     np.testing.assert_array_equal(here, np.arange(len(every)))
     np.testing.assert_array_equal(there, here)
     later = [
@@ -208,7 +208,7 @@ def test_windows_tell_what_was_captured_again_with_other_settings(tracer):
                 window_end_ns=o.window_end_ns + 5 * 10**8)
         for o in every
     ]  # fmt: skip
-    assert not len(RawData.of(every, DATED_NS).shared_with(RawData.of(later, DATED_NS))[0])
+    assert not len(RawData.of(every, DATED_NS).common_observations(RawData.of(later, DATED_NS))[0])
 
 
 @given(st.integers(0, 2**31), st.integers(3, 60), st.data())
@@ -220,7 +220,7 @@ def test_a_subset_is_known_in_any_order(seed, n, data):
     ]
     size = data.draw(st.integers(2, n))
     chosen = rng.permutation(n)[:size]
-    here, there = RawData.of(every, DATED_NS).shared_with(
+    here, there = RawData.of(every, DATED_NS).common_observations(
         RawData.of([every[k] for k in chosen], DATED_NS)
     )
     assert sorted(zip(here.tolist(), there.tolist(), strict=True)) == sorted(
@@ -282,7 +282,7 @@ def test_six_balls_of_twelve_in_a_table_of_their_own_are_the_same_data(tmp_path,
             f"sigma_centre_m: 3.0e-8\nseparate_groups: {str(some[1] == 2).lower()}\n"
         )
         results[name] = rc.read_table(table, setup).solve()
-    here, there = results["all"].raw_data.shared_with(results["some"].raw_data)
+    here, there = results["all"].raw_data.common_observations(results["some"].raw_data)
     assert len(here) == len(there) == 72
     pair = [CombinationInput.of(n, r) for n, r in results.items()]
     alone = combine(pair[:1]).result.std["ECC"]
@@ -303,7 +303,7 @@ def test_values_read_coarsely_agree_by_chance_and_are_not_called_the_same():
 
     first, second = run(), run()
     assert set(first.hashes) & set(second.hashes)  # some are equal
-    assert not len(first.shared_with(second)[0])
+    assert not len(first.common_observations(second)[0])
 
 
 def test_two_ways_of_a_mirror_are_refused_with_the_reason():

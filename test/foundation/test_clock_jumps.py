@@ -21,7 +21,7 @@ def watched(*ahead_s):
         return NOON_NS + ahead, ahead
 
     watch = ClockWatch(read)
-    return watch, [watch.look() for _ in ahead_s[1:]]
+    return watch, [watch.poll() for _ in ahead_s[1:]]
 
 
 def test_a_step_is_told_once_with_its_size_and_the_time_behind_it():
@@ -42,7 +42,7 @@ def test_steps_add_up_and_jitter_of_reading_is_none():
 
 def test_a_true_clock_does_not_jump():
     watch = ClockWatch()
-    assert all(watch.look() is None for _ in range(1000))
+    assert all(watch.poll() is None for _ in range(1000))
 
 
 def test_a_note_in_a_bag_gives_the_jumps_back_and_leaves_out_what_it_cannot_read():

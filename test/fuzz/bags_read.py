@@ -25,7 +25,7 @@ def read_bag(path: Path) -> None:
     with suppress_rotcal():
         read_recording(path)
     (verdict,) = check_files(bag_files(path))
-    verdict.sentence()
+    verdict.describe()
     if path.suffix == ".db3" and verdict.messages < _first_rows(path):
         raise LieError(f"{verdict.messages} messages read, sqlite3 reads {_first_rows(path)}")
     if verdict.state == "complete":

@@ -30,7 +30,7 @@ def read_journal(path: Path) -> None:
     kept.mkdir(exist_ok=True)
     (kept / CONTENTS).write_text('{"C.comp": null}')
     journal = Journal(path.parent)
-    for read in (journal.entries, journal.to_undo, journal.unfinished, journal.history,
+    for read in (journal.entries, journal.last_undoable, journal.unfinished, journal.history,
                  journal.names, journal.last_ns):  # fmt: skip
         with suppress_rotcal():
             read()

@@ -17,7 +17,7 @@ from rotcal_ros.methods.configuration import changed, read_configuration
 DATA = Path(__file__).parents[2] / "examples" / "data"
 RAW = [
     "simulation.air={published: true, vacuum_lengths: true, pressure_swing_pa: 1000.0, "
-    "pressure_swing_period_s: 1000.0, noise_pa: 0.0}",
+    "noise_pa: 0.0}",
     "simulation.temperature.length_um_per_m_k=0",
     "simulation.temperature.dead_distance_um_per_k=0",
     "capture.pressure_expected=true",

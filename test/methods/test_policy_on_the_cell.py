@@ -45,7 +45,7 @@ def test_the_reasons_name_a_wrong_length_a_drift_and_the_noise():
     calibration = prepare(changed(read_configuration(PAPER), SHORT))
     cell = calibration.method.simulated_cell(calibration.configuration.simulation)
     capture = calibration.capture()
-    policy, choices = calibration.policy(calibration.from_the_start()), []
+    policy, choices = calibration.policy(calibration.first_run()), []
     while len(choices) < MOST:
         choices.append(policy.choose())
         step = choices[-1].step

@@ -105,19 +105,12 @@ def test_details_of_the_tracer_at_several_places():
     assert details["scattering"]["the arrivals"]["contrasts"] > 0
 
 
-def test_details_of_two_circles():
-    configuration = read_configuration(CONFIG / "angle_comparison_demo.yaml")
-    calibration = prepare(configuration)
-    measured = calibration.measured({"knock": 0.5 * ARCSEC}, seed=3)
+@pytest.mark.parametrize(
+    ("method", "knock"), [("angle_comparison", 0.5 * ARCSEC), ("table_balls", 20.0 * MICROMETRE)]
+)
+def test_details_after_a_knock(method, knock):
+    calibration = prepare(read_configuration(CONFIG / f"{method}_demo.yaml"))
+    measured = calibration.measured({"knock": knock}, seed=3)
     details = calibration.solve(measured.observations).details
     assert details["effects_found"] or details["gathering"]["blamed"]
-    assert_documented(details, "angle_comparison", {"m": 12})
-
-
-def test_details_of_balls_on_the_table():
-    configuration = read_configuration(CONFIG / "table_balls_demo.yaml")
-    calibration = prepare(configuration)
-    measured = calibration.measured({"knock": 20.0 * MICROMETRE}, seed=3)
-    details = calibration.solve(measured.observations).details
-    assert details["effects_found"] or details["gathering"]["blamed"]
-    assert_documented(details, "table_balls", {"m": 12})
+    assert_documented(details, method, {"m": 12})

@@ -113,14 +113,12 @@ def test_a_reflector_stays_between_direct_and_mirrored_and_is_put_up_anew_elsewh
 
 
 def test_a_displaced_nest_is_seated_well_at_a_later_attempt():
-    tracker = replace(
-        EXACT, displaced_nest=2, displaced_at_stations=(0,), displaced_mm=1.5, displaced_attempts=1
-    )
+    tracker = replace(EXACT, displaced_nest=2, displaced_at_stations=(0,), displaced_attempts=1)
     cell = METHOD.simulated_cell(replace(SETTINGS, tracker=tracker))
     place = (1.0, 1.5, 0.2)
     wrong = measure(cell, order(PointKind.NEST, place, target=2))
     right = measure(cell, order(PointKind.NEST, place, target=2, attempt=1))
-    assert distance(wrong, right) == pytest.approx(1.5e-3, rel=1e-6)
+    assert distance(wrong, right) == pytest.approx(1e-3, rel=1e-6)
 
 
 def test_reflectors_on_the_table_turn_by_the_actual_angle():

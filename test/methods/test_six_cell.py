@@ -58,9 +58,8 @@ def test_lengths_are_those_of_the_place_on_a_table_with_six_deviations():
 
 def test_a_tracer_that_is_fixed_anew_stands_elsewhere_and_counts_from_elsewhere():
     configuration = configured(
-        *STILL, "simulation.tracer.mounting_zero_um=50", "simulation.tracer.misplaced_place=1",
-        "simulation.tracer.misplaced_mm=50",
-    )  # fmt: skip
+        *STILL, "simulation.tracer.mounting_zero_um=50", "simulation.tracer.misplaced_place=1"
+    )
     plan = prepare(configuration).plan
     cell = METHOD.simulated_cell(configuration.simulation)
     still = METHOD.simulated_cell(configured(*STILL).simulation)

@@ -81,7 +81,7 @@ def test_the_plate_is_made_and_clamped_as_set():
 
 
 def test_the_machine_error_is_a_smooth_field_of_the_stated_size():
-    error = MachineError(TouchProbeSettings(systematic_um=2.0, wavelength_m=0.2), 5)
+    error = MachineError(TouchProbeSettings(systematic_um=2.0), 5)
     places = np.random.default_rng(0).uniform(-5, 5, (4000, 3))
     assert np.std(error(places), axis=0) == pytest.approx([2e-6] * 3, rel=0.1)
     assert (error(places) == error(places)).all()

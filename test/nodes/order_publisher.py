@@ -22,7 +22,7 @@ class Orders(Node):
         super().__init__("orders")
         self.angles, self.next_s, self.step, self.rest = angles, 0.0, 0, ""
         self.orders = self.create_publisher(TableAngle, "table_angle", EVENT)
-        self.create_subscription(JointState, "joint_states", self.hear, STREAM)
+        self.create_subscription(JointState, "joint_states", self.receive, STREAM)
         self.create_timer(0.05, self.order)
 
     def order(self):
@@ -33,7 +33,7 @@ class Orders(Node):
         self.step += 1
         self.orders.publish(TableAngle(step=self.step, angle=radians(self.angles.pop(0))))
 
-    def hear(self, state):
+    def receive(self, state):
         rest = f"at rest at {degrees(state.position[0]):.3f} deg"
         if abs(state.velocity[0]) < 1e-6 and rest != self.rest:
             self.rest = rest

@@ -154,7 +154,6 @@ SIX = Case(
     (
         "plan.table_positions=3", "plan.table_step_deg=120.0", "plan.bidirectional=true",
         "plan.box_points=[2, 2, 2]", "simulation.tracer.misplaced_place=1",
-        "simulation.tracer.misplaced_mm=40.0",
     ),
     3 * 2 * 3 * 8,
     (

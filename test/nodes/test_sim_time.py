@@ -37,7 +37,7 @@ class Clocks:
         for _ in range(round(seconds * 5)):
             self.wall_s += 0.2
             self.sim_s += 0.2 * pace
-            self.sim.look()
+            self.sim.poll()
 
 
 def test_a_clock_that_never_comes_is_named_and_one_that_nobody_follows_is_not():

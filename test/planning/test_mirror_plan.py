@@ -80,7 +80,7 @@ def test_the_tracker_stands_where_it_is_put_in_plans_of_both_directions_too() ->
     calibration = prepare(changed(demo, ["plan.bidirectional=true"]))
     plan = calibration.plan
     put = [pause.move.position for pause in plan.pauses if pause.move is not None]
-    assert list(dict.fromkeys(calibration.stand_at(step) for step in plan.steps)) == put
+    assert list(dict.fromkeys(calibration.instrument_place(step) for step in plan.steps)) == put
 
 
 def test_the_instruction_names_place_nests_and_positions() -> None:

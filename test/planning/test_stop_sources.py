@@ -16,9 +16,9 @@ def sources(topic="/safety/estop", **settings):
 def test_the_topic_stops_while_it_is_true_and_nobody_has_to_publish_it():
     found = sources()
     assert found.reasons(1e6) == []
-    found.hear(True, 101.0)
+    found.receive(True, 101.0)
     assert found.reasons(1e6) == ["/safety/estop is true"]
-    found.hear(False, 102.0)
+    found.receive(False, 102.0)
     assert found.reasons(1e6) == []
 
 
@@ -44,10 +44,10 @@ def test_silence_stops_where_it_is_asked_for_from_the_start_on():
     assert found.reasons(101.0) == []
     silent = "has said nothing for 1 s (safety.silent_s)"
     assert found.reasons(101.1) == [f"/safety/estop {silent}", f"drive {silent}"]
-    found.hear(False, 101.2)
+    found.receive(False, 101.2)
     found.diagnose("drive", OK, "", 101.2)
     assert found.reasons(102.2) == []
-    found.hear(True, 102.2)
+    found.receive(True, 102.2)
     assert found.reasons(110.0) == ["/safety/estop is true", f"drive {silent}"]
 
 

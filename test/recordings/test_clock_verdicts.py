@@ -60,7 +60,7 @@ class Live:
         deaf = topic == names.TRACER_LENGTH and received_ns < START_NS + self.deaf_s * SECOND
         if topic and not deaf:
             self.offsets.note(topic, record.stamp_ns, received_ns)
-        return [*map(self.offsets.judged, self.capture.feed(record))]
+        return [*map(self.offsets.check_clocks, self.capture.feed(record))]
 
 
 def came_ns(record: Any, late_s: float) -> int:

@@ -72,7 +72,7 @@ def run_of(posed, seen, continuation, most=1000, zero_m=0.0):
 
 def test_the_policy_makes_the_choices_of_the_bag_again(cell):
     posed, seen = cell
-    choices, observed = run_of(posed, seen, posed.from_the_start())
+    choices, observed = run_of(posed, seen, posed.first_run())
     assert choices[-1].choice.reason.startswith("goal reached")
     assert "failed in every attempt" in choices[3].choice.reason
     assert len(choices) < len(posed.plan.steps)
@@ -81,7 +81,7 @@ def test_the_policy_makes_the_choices_of_the_bag_again(cell):
 
 def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
     posed, seen = cell
-    choices, observed = run_of(posed, seen, posed.from_the_start(), most=12)
+    choices, observed = run_of(posed, seen, posed.first_run(), most=12)
     rest = continued(
         posed.plan, posed.configuration.plan_id, 1, observed, max_attempts=GIVEN_UP, join_steps=8
     )
@@ -96,11 +96,11 @@ def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
 def test_a_run_interrupted_at_any_step_ends_as_if_it_had_not_been(zero):
     posed = calibration(f"solver.zero={zero}")
     seen = {o.step: o for o in posed.measured({}, seed=3).observations}
-    whole, _ = run_of(posed, seen, posed.from_the_start())
+    whole, _ = run_of(posed, seen, posed.first_run())
     goal = whole[-1].choice.standing.goal
     every = range(len(whole))
     for most in every if LONG else sorted({0, 1, 4, *every[9::12], every[-1]}):
-        choices, observed = run_of(posed, seen, posed.from_the_start(), most=most)
+        choices, observed = run_of(posed, seen, posed.first_run(), most=most)
         rest = continued(
             posed.plan, posed.configuration.plan_id, 1, observed,
             max_attempts=GIVEN_UP, join_steps=8,
@@ -120,7 +120,7 @@ def test_a_run_interrupted_at_any_step_ends_as_if_it_had_not_been(zero):
 
 def test_another_observation_leads_to_another_choice(cell):
     posed, seen = cell
-    choices, observed = run_of(posed, seen, posed.from_the_start())
+    choices, observed = run_of(posed, seen, posed.first_run())
     wrong = choices[10].choice.step  # whichever length is the first suspect then
     other = [replace(o, mean=(o.mean[0] + 2e-5,)) if o.step == wrong else o for o in observed]
     (text,) = policy_differences(posed, choices, other)
@@ -132,7 +132,7 @@ def test_another_observation_leads_to_another_choice(cell):
 
 def test_a_choice_that_is_missing_is_named(cell):
     posed, seen = cell
-    choices, observed = run_of(posed, seen, posed.from_the_start())
+    choices, observed = run_of(posed, seen, posed.first_run())
     (text,) = policy_differences(posed, choices[:5] + choices[6:], observed)
     assert text.startswith("run 0, choice 5: ")
 
@@ -140,7 +140,7 @@ def test_a_choice_that_is_missing_is_named(cell):
 def test_a_list_needs_no_asking(cell):
     posed, seen = cell
     listed = calibration("planner.policy=as_listed")
-    choices, observed = run_of(posed, seen, posed.from_the_start())
+    choices, observed = run_of(posed, seen, posed.first_run())
     assert policy_differences(listed, choices[3:], observed) == ()
 
 
@@ -161,7 +161,7 @@ def test_what_cannot_be_followed_is_refused_before_anything_moves(change, error,
 def test_a_first_step_and_another_method_are_refused():
     posed = calibration()
     with pytest.raises(PlanError, match="rotcal run --resume"):
-        posed.policy(posed.from_the_start(7))
+        posed.policy(posed.first_run(7))
     plate = read_configuration(DEMO.with_name("ball_plate_demo.yaml"))
     with pytest.raises(ConfigurationError, match="has no policy until_goal"):
         prepare_to_measure(changed(plate, ("planner.policy=until_goal",)))

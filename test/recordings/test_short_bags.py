@@ -43,8 +43,8 @@ def is_short(path):
     """Return whether a result would be suspect, and that the reason is in words."""
     verdicts = check_files(bag_files(path))
     session = judge_session(path, verdicts)
-    proven = [v for v in verdicts if v.proves_loss]
-    assert all("messages lost" in v.sentence() for v in proven)
+    proven = [v for v in verdicts if v.shows_loss]
+    assert all("messages lost" in v.describe() for v in proven)
     return bool(session.missing or proven)
 
 

@@ -48,7 +48,7 @@ def test_a_simulated_person_and_yes_are_done_at_once(kind, words, enter):
     enter(pressed=False)
     person = make(**kind)
     assert not person.is_done()
-    assert person.hear(PAUSED) == f"put the tracker there: {words}"
+    assert person.receive(PAUSED) == f"put the tracker there: {words}"
     assert person.is_done()
     assert not person.is_done()
 
@@ -58,8 +58,8 @@ def test_a_person_at_a_terminal_presses_enter(enter, rehearsed):
     """At a machine, and where one rehearses in a simulated cell."""
     enter(pressed=False)
     person = make(simulated=rehearsed, person=not rehearsed)
-    assert person.hear(PAUSED) == "put the tracker there; then press Enter"
-    assert person.hear(WAITING) is None
+    assert person.receive(PAUSED) == "put the tracker there; then press Enter"
+    assert person.receive(WAITING) is None
     assert not person.is_done()
     enter(pressed=True)
     assert person.is_done()
@@ -70,15 +70,15 @@ def test_enter_means_nothing_while_nothing_is_asked_or_once_the_service_was_call
     enter(pressed=True)
     person = make()
     assert not person.is_done()
-    person.hear(PAUSED)
-    person.hear(GOING_ON)
+    person.receive(PAUSED)
+    person.receive(GOING_ON)
     assert not person.is_done()
 
 
 def test_without_a_terminal_the_service_is_named(enter):
     enter(pressed=True, terminal=False)
     person = make()
-    assert person.hear(PAUSED).endswith("call the service /north/resume (std_srvs/srv/Trigger)")
+    assert person.receive(PAUSED).endswith("call the service /north/resume (std_srvs/srv/Trigger)")
     assert not person.is_done()
 
 
@@ -86,7 +86,7 @@ def test_without_a_terminal_the_service_is_named(enter):
 def test_one_who_watches_does_nothing_of_its_own(kind, enter):
     enter(pressed=False)
     person = make(**kind, watching=True)
-    assert "done" in person.hear(PAUSED)
+    assert "done" in person.receive(PAUSED)
     assert not person.is_done()
 
 
@@ -94,7 +94,7 @@ def test_the_word_of_another_terminal_counts_for_what_is_asked_and_once(enter):
     enter(pressed=False)
     person = make()
     person.confirm(PAUSED["instruction"])  # nothing is asked yet
-    person.hear(PAUSED)
+    person.receive(PAUSED)
     person.confirm("put the tracker elsewhere")
     assert not person.is_done()
     person.confirm(PAUSED["instruction"])
@@ -105,7 +105,7 @@ def test_the_word_of_another_terminal_counts_for_what_is_asked_and_once(enter):
 def test_what_was_entered_before_it_was_asked_is_no_answer(enter):
     enter(pressed=True)
     person = make()
-    person.hear(PAUSED)  # reads it
+    person.receive(PAUSED)  # reads it
     assert not person.is_done()
     enter(pressed=True)
     assert person.is_done()
@@ -115,14 +115,14 @@ def test_a_terminal_that_has_ended_has_not_said_enter(enter, monkeypatch):
     enter(pressed=True)
     monkeypatch.setattr("sys.stdin.readline", lambda: "")
     person = make()
-    person.hear(PAUSED)
+    person.receive(PAUSED)
     assert not person.is_done()
 
 
 def test_a_refused_resume_is_told_with_its_reason():
     event = {"event": "resumed", "success": False, "reason": "nothing is waiting to be resumed"}
-    assert make().hear(event) == "nothing is waiting to be resumed"
-    assert make().hear({"event": "alive", "planner": "ready"}) is None
+    assert make().receive(event) == "nothing is waiting to be resumed"
+    assert make().receive({"event": "alive", "planner": "ready"}) is None
 
 
 STOPPED = {"event": "paused", "instruction": "the door is open", "doing": Why.STOPPED}
@@ -133,9 +133,9 @@ RELEASED = {"event": "paused", "instruction": "the door was open", "doing": Why.
 def test_after_an_emergency_stop_nobody_goes_on_at_once(kind, enter):
     enter(pressed=False)
     person = make(**kind)
-    assert person.hear(STOPPED) == STOPPED["instruction"]
+    assert person.receive(STOPPED) == STOPPED["instruction"]
     assert not person.is_done()
-    assert person.hear(RELEASED) == f"{RELEASED['instruction']}; then press Enter"
+    assert person.receive(RELEASED) == f"{RELEASED['instruction']}; then press Enter"
     assert not person.is_done()
     enter(pressed=True)
     assert person.is_done()
@@ -144,12 +144,12 @@ def test_after_an_emergency_stop_nobody_goes_on_at_once(kind, enter):
 def test_who_was_refused_may_say_it_again(enter):
     enter(pressed=False)
     person = make()
-    person.hear(STOPPED)
-    person.hear(WAITING)
+    person.receive(STOPPED)
+    person.receive(WAITING)
     enter(pressed=True)
     assert person.is_done()
     refusal = {"event": "resumed", "success": False, "reason": "the emergency stop is on"}
-    assert person.hear(refusal) == "the emergency stop is on"
+    assert person.receive(refusal) == "the emergency stop is on"
     enter(pressed=True)
     assert person.is_done()
     assert not person.is_done()

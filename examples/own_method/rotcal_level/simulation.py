@@ -36,7 +36,7 @@ class SimulatedLevels(AngleReader):
         self._azimuths = np.array(own.azimuths_deg) * DEGREE + self.placed
         self._zeros = own.zero_arcsec * ARCSEC * IndexedNoise(seed, ZERO).normal(0, count)
 
-    def seen(self, stamp_ns: int, order: Command) -> Floats:
+    def true_reading(self, stamp_ns: int, order: Command) -> Floats:
         """Return the true reading of the level ``order.target``, and 0, rad."""
         level = order.target % len(self._zeros)
         x, y, _ = self._table.poses(np.array([stamp_ns]))[0][0][2]  # how high its axes point

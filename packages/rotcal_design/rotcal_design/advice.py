@@ -230,7 +230,7 @@ def _predicted(
         )
     text = setup_text(way.method, known, values)
     calibration = prepare_whole(parse_configuration(text, way.method))
-    seconds, _ = DryRun(calibration, calibration.plan.table_angles[0]).taking()
+    seconds, _ = DryRun(calibration, calibration.plan.table_angles[0]).time_estimate()
     prospect = Prospect.of(calibration)
     expanded = {name: COVERAGE_FACTOR * std for name, std in prospect.std.items()}
     shortfall = goal.shortfall(expanded, seconds)

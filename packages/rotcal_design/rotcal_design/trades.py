@@ -315,7 +315,7 @@ def _with_turns(calibration: Calibration) -> TurningTrade:
         targets=len(planned.targets),
         angles=len(result.angles),
         lengths=len(planned.counting),
-        seconds=DryRun(calibration, planned.steps[0].table_angle).taking()[0],
+        seconds=DryRun(calibration, planned.steps[0].table_angle).time_estimate()[0],
         expanded=u["ECC"],
         shift=max((u[c] for c in u if c in ("EXC", "EYC", "EZC")), default=None),
         lean=max((u[c] for c in u if c in ("EAC", "EBC")), default=None),

@@ -60,7 +60,7 @@ def add_sources(
     for files, alike in groupby(sources, lambda source: source.suffix == ".json"):
         while group := list(islice(alike, AT_ONCE if files else 1)):
             found = [(source, _or_error(RotcalError, read, source)) for source in group]
-            with history.together():
+            with history.transaction():
                 done = [
                     new if isinstance(new, RotcalError) else _or_error(REFUSALS, add, source, new)
                     for source, new in found

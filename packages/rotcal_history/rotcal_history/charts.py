@@ -133,7 +133,7 @@ def chart_and_forecast(
     ahead = np.linspace(times[-1], max(until_ns, times[-1] + 1), _STEPS).astype(np.int64)
     dates, later = (each.astype("datetime64[ns]") for each in (times, ahead))
     top.errorbar(dates, measured, band, fmt="o", color=style.BLUE, ms=4, capsize=2)
-    drawn = curves.curves_of(trend.forecast(ahead), curves.drawn_rest(DRAWS))[:, :, at] / unit
+    drawn = curves.curves_of(trend.forecast(ahead), curves.draw_residuals(DRAWS))[:, :, at] / unit
     low, middle, high = np.quantile(drawn, [0.025, 0.5, 0.975], axis=0)
     top.plot(later, middle, color=style.ORANGE, label="forecast, 95 %")
     top.fill_between(later, low, high, color=style.ORANGE, alpha=0.2, linewidth=0)

@@ -248,7 +248,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         self._engine.dispose()
 
     @contextmanager
-    def together(self) -> Iterator[None]:
+    def transaction(self) -> Iterator[None]:
         """Add all that is added meanwhile, or nothing; it is on the medium at the end."""
         with self._connected(writing=True) as self._joint:
             try:

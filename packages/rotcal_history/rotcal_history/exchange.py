@@ -49,7 +49,7 @@ def restore_history(history: ParkHistory, folder: Path) -> tuple[int, int]:
     try:
         with parquet.ParquetFile(path, page_checksum_verification=True) as file:
             for batch in file.iter_batches(batch_size=_GROUP):
-                with history.together():
+                with history.transaction():
                     for row in batch.to_pylist():
                         replaced = row.pop("replaces")
                         added = history.restore(HistoryEntry(**row, replaces=None), replaced)

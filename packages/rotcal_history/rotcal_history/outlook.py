@@ -367,7 +367,7 @@ def due_date(
     promise does not even hold then, and at most ``longest_days`` later.
     """
     begun = int(curves.series.times_ns[-1])
-    rest = curves.drawn_rest(DRAWS)
+    rest = curves.draw_residuals(DRAWS)
 
     def conforming(times_ns: Ints) -> Floats:
         drawn = curves.curves_of(trend.forecast(times_ns), rest)
@@ -389,7 +389,7 @@ def due_date(
 def expected_curve(curves: DeviationSeries, trend: Trend, time_ns: int) -> tuple[Floats, Floats]:
     """Return the curve (n,) that is expected at a time, and its covariance (n, n)."""
     modes = trend.forecast(np.array([time_ns], dtype=np.int64))
-    drawn = curves.curves_of(modes, curves.drawn_rest(DRAWS))[:, 0]
+    drawn = curves.curves_of(modes, curves.draw_residuals(DRAWS))[:, 0]
     return drawn.mean(axis=0), np.atleast_2d(np.cov(drawn.T))
 
 

@@ -62,7 +62,7 @@ class DeviationSeries:
         """Return curves (..., n) of coefficients (..., p) and of what they leave."""
         return np.asarray(rest + coefficients @ self.basis.T, dtype=np.float64)
 
-    def drawn_rest(self, draws: int) -> Floats:
+    def draw_residuals(self, draws: int) -> Floats:
         """Return draws (draws, 1, n) of what the modes leave."""
         values, vectors = np.linalg.eigh(self.rest_covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -229,7 +229,7 @@ def test_events_and_files_are_kept_beside_the_results(database):
 
 def begun(history):
     """Add a result in a transaction that is not finished."""
-    with history.together():
+    with history.transaction():
         history.add_result(some())
         raise RuntimeError
 
@@ -240,7 +240,7 @@ def test_what_is_added_together_is_there_as_a_whole_or_not_at_all(database):
         with pytest.raises(RuntimeError):
             begun(history)
         assert history.items() == []
-        with history.together():
+        with history.transaction():
             added = [history.add_result(some()) for _ in range(2)]
             history.add_result(unnamed, serial="4712")
             with pytest.raises(DataError, match="as result of 4712/C"):

@@ -179,7 +179,7 @@ class Driver:
 
     def _tell_where(self) -> None:
         """Publish the position without an order, so that a preflight hears the machine."""
-        self._publish_point(self._measuring.unasked(self.client.where().position))
+        self._publish_point(self._measuring.unsolicited(self.client.where().position))
 
     def _move(self, work: Callable[[], None]) -> None:
         """Do work in which the machine moves; ending it in the middle aborts the motion."""
@@ -232,7 +232,7 @@ class OrderRunner:
             "are touch points (plan.measure: surface) and positions of a reflector"
         )
 
-    def unasked(self, position: Point) -> ProbeSample:
+    def unsolicited(self, position: Point) -> ProbeSample:
         """Return where the machine stands (m) as a point that was not ordered."""
         return self._sample(NO_ORDER, self._now_ns(), position)
 

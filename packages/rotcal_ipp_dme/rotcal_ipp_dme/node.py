@@ -84,7 +84,7 @@ class DmeAdapter(CellNode):
 
         It may home, so after a stop a person has to allow it.
         """
-        why = self._stop.heed()
+        why = self._stop.check_stop()
         self._driver.begin(why and f"{NOT_STARTED}: emergency stop: {why}")
         self._orders = self.take_orders(self._obey)
         self.offer(Trigger, "clear_errors", self._clear)

@@ -44,12 +44,12 @@ def measure(calibration, port, *, steps=None, **others):
     """Return the observations of all steps, measured through the server at ``port``."""
     records, lock, observations = [], Lock(), []
 
-    def hear(feedback, _position):
+    def receive(feedback, _position):
         if feedback is not None:
             with lock:
                 records.append(feedback)
 
-    client = DmeClient(settings(port, **others), hear, lambda fault: None)
+    client = DmeClient(settings(port, **others), receive, lambda fault: None)
     client.start()
     measuring, capture = OrderRunner(client, time.time_ns), calibration.capture()
     for step in calibration.plan.steps[:steps]:

@@ -67,7 +67,7 @@ class Adapter(DmeAdapter):
         )
         self._driver, self._orders = Driver(), OrderPairing()
         self._stop = SimpleNamespace(
-            why="", heed=lambda: "", refuses=lambda _step: bool(self._stop.why)
+            why="", check_stop=lambda: "", refuses=lambda _step: bool(self._stop.why)
         )
         self._plan = self._early = None
         self._run = self._served = None
@@ -263,7 +263,7 @@ def test_the_machine_is_spoken_to_only_when_no_older_adapter_was_heard(made):
 
 def test_after_a_stop_no_session_begins_and_no_machine_homes_by_itself(made):
     made._stop.why = "/safety/estop is true"
-    made._stop.heed = lambda: "/safety/estop is true"
+    made._stop.check_stop = lambda: "/safety/estop is true"
     for _ in range(LOOKS_FIRST):
         made._watch()
     made._stop.why = ""

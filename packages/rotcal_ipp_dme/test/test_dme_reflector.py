@@ -39,11 +39,11 @@ class Session:
     def __init__(self, calibration, port, own):
         self.records, self.lock, self.own = [], Lock(), own
         self.capture, self.noise, self.count = calibration.capture(), np.random.default_rng(3), 0
-        self.client = DmeClient(settings(port), self.hear, lambda fault: None)
+        self.client = DmeClient(settings(port), self.receive, lambda fault: None)
         self.client.start()
         self.measuring = OrderRunner(self.client, time.time_ns)
 
-    def hear(self, record, _position=None):
+    def receive(self, record, _position=None):
         if record is not None:
             with self.lock:
                 self.records.append(record)
@@ -64,14 +64,14 @@ class Session:
         assert self.fed() == []
         self.capture.feed(order)
         (point,) = self.measuring.carry_out(order, step, lambda: False)
-        self.hear(point)
+        self.receive(point)
         away = np.array(point.position) - self.own["tracer_at"](step.table_angle)
         length = float(np.linalg.norm(away)) - self.own["DEAD_DISTANCE_M"]
         while not (observations := self.fed()):
             self.client.where()
             self.count += 1
             noisy = length + self.noise.normal(0.0, self.own["NOISE_M"])
-            self.hear(
+            self.receive(
                 TracerSample(
                     time.time_ns(), self.count, noisy, self.own["NOISE_M"], LengthStatus.OK
                 )

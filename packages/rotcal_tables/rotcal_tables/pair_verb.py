@@ -10,7 +10,7 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.table_columns import ANGLE, COUNTS, UNITS
 from rotcal_ros.report.terminal.console import say, tell
-from rotcal_tables.pairs import MARGIN, Numbers, as_table, rests
+from rotcal_tables.pairs import END_MARGIN, TopicField, find_rests, table_lines
 
 _UNITS = tuple(unit for unit in UNITS[ANGLE] if unit not in ("dms", "m:s"))
 
@@ -53,7 +53,9 @@ def command(
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     if not period and actual_unit != COUNTS:
         period = float(360 * UNITS[ANGLE]["deg"] / UNITS[ANGLE][actual_unit])
-    read = rests(bag, Numbers.of(commanded, joint), Numbers.of(actual, joint), rest, period)
+    read = find_rests(
+        bag, TopicField.of(commanded, joint), TopicField.of(actual, joint), rest, period
+    )
     for line in read.remarks:
         say(f"left out: {line}")
     if not read.found:
@@ -64,7 +66,10 @@ def command(
     if not as_stated:
         read.require_order()
     if early := max(each.early for each in read.found):
-        say(f"the actual angle moves up to {(1 + early) * MARGIN * rest:.2g} s before the command")
-    write_atomically(output, "\n".join([*as_table(read.found, commanded_unit, actual_unit), ""]))
+        lead = (1 + early) * END_MARGIN * rest
+        say(f"the actual angle moves up to {lead:.2g} s before the command")
+    write_atomically(
+        output, "\n".join([*table_lines(read.found, commanded_unit, actual_unit), ""])
+    )
     tell(f"{output}: {len(read.found)} rests")
     return 0

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.units import NANOSECOND
 
-MARGIN: Final = 0.1
+END_MARGIN: Final = 0.1
 """Share of the time at rest that is kept from the next command, and by which an end that moves is
 left: a feedback may be recorded before its command."""
 _LEAST: Final = 4
@@ -45,7 +45,7 @@ _CREEP: Final = 4.0
 
 
 @dataclass(frozen=True)
-class Numbers:
+class TopicField:
     """A field of the messages of a topic: ``joint`` names its element by the names beside it."""
 
     topic: str
@@ -53,7 +53,7 @@ class Numbers:
     joint: str = ""
 
     @classmethod
-    def of(cls, text: str, joint: str = "") -> Numbers:
+    def of(cls, text: str, joint: str = "") -> TopicField:
         """Return what ``TOPIC:FIELD`` means; ConfigurationError for any other text."""
         topic, _, field = text.partition(":")
         if not (topic and field):
@@ -76,13 +76,13 @@ class Numbers:
 
 
 @dataclass
-class Heard:
+class FieldSeries:
     """What the messages of a topic say of some ``numbers``, by their times of recording (ns).
 
     ``without`` counts messages that give none, by reason.
     """
 
-    numbers: Numbers
+    numbers: TopicField
     without: Counter[str] = field(default_factory=Counter)
     _parts: list[tuple[Ints, Floats, tuple[str, ...]]] = field(default_factory=list)
     _orders: set[tuple[str, ...]] = field(default_factory=set)
@@ -169,7 +169,7 @@ class Heard:
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestPair:
     """The mean ``actual`` angle at a ``commanded`` one, and its standard uncertainty ``u``.
 
     ``middle_ns`` is the middle of the time that was read, ``early`` how many margins before its
@@ -184,10 +184,10 @@ class Rest:
 
 
 @dataclass(frozen=True)
-class Rests:
+class RestSearch:
     """The rests of a bag, in the units of its fields; ``remarks`` say in words what is none."""
 
-    found: tuple[Rest, ...]
+    found: tuple[RestPair, ...]
     remarks: tuple[str, ...]
     leads: tuple[float, ...]
     """s, by which the actual angle passes the middle between two rests before the command."""
@@ -214,7 +214,9 @@ class Rests:
         )
 
 
-def rests(path: Path, commanded: Numbers, actual: Numbers, rest_s: float, period: float) -> Rests:
+def find_rests(
+    path: Path, commanded: TopicField, actual: TopicField, rest_s: float, period: float
+) -> RestSearch:
     """Return the rests of a bag.
 
     ``period``: by which the actual angle jumps where it wraps; 0: not known. Raises BagError for
@@ -229,7 +231,7 @@ def rests(path: Path, commanded: Numbers, actual: Numbers, rest_s: float, period
     changes = np.flatnonzero(np.diff(orders)) + 1
     begins = [int(command_ns[k]) for k in (0, *changes.tolist())]
     levels = [float(orders[k]) for k in (0, *changes.tolist())]
-    found, left_out = list[Rest](), list[str]()
+    found, left_out = list[RestPair](), list[str]()
     for own in heard:
         left_out += [f"{own.numbers.topic}: {reason}" for reason in own.reasons()]
     feedback = ReportedAngles.of(stamps, angles, period)
@@ -248,7 +250,7 @@ def rests(path: Path, commanded: Numbers, actual: Numbers, rest_s: float, period
     ]
     spacing = max(float(np.median(np.diff(each))) if len(each) > 1 else 0.0
                   for each in (command_ns, stamps))  # fmt: skip
-    return Rests(
+    return RestSearch(
         tuple(found), tuple(left_out), tuple(lead * NANOSECOND for lead in leads),
         spacing * NANOSECOND,
     )  # fmt: skip
@@ -269,24 +271,24 @@ class ReportedAngles:
         steps = np.diff(np.unique(angles))
         return cls(stamps, angles, period, float(steps.min()) if len(steps) else 0.0)
 
-    def rest(self, level: float, begin: int, end: int, rest_s: float) -> Rest:
+    def rest(self, level: float, begin: int, end: int, rest_s: float) -> RestPair:
         """Return the rest at the end of a time (ns) in which the command stood at ``level``.
 
         Where it moves there, that before it. ValueError says why there is none, BagError what has
         to be said first.
         """
-        margin, refused = round(MARGIN * rest_s / NANOSECOND), list[Exception]()
+        margin, refused = round(END_MARGIN * rest_s / NANOSECOND), list[Exception]()
         spare = (end - begin - round(rest_s / NANOSECOND)) // margin
-        for early in range(1 + min(int(spare), round(1.0 / MARGIN))):
+        for early in range(1 + min(int(spare), round(1.0 / END_MARGIN))):
             last = end - (1 + early) * margin
-            first = last - round(rest_s * (1.0 - MARGIN) / NANOSECOND)
+            first = last - round(rest_s * (1.0 - END_MARGIN) / NANOSECOND)
             inside = (self.stamps > first) & (self.stamps <= last)
             try:
                 mean, u = self._mean(level, self.angles[inside])
             except (ValueError, BagError) as error:
                 refused.append(error)
                 continue
-            return Rest(level, mean, u, (first + last) // 2, early)
+            return RestPair(level, mean, u, (first + last) // 2, early)
         raise refused[0]
 
     def _mean(self, level: float, values: Floats) -> tuple[float, float]:
@@ -322,7 +324,7 @@ def _less_turns(off: Floats, period: float) -> Floats:
 def _passed(
     times: Ints,
     values: Floats,
-    ends: tuple[Rest, Rest],
+    ends: tuple[RestPair, RestPair],
     levels: tuple[float, float],
     period: float,
 ) -> float:
@@ -340,10 +342,12 @@ def _unevenness(levels: Sequence[float]) -> float:
     return float(np.max(np.abs(counts - np.rint(counts)), initial=1e-12))
 
 
-def _heard(files: tuple[Path, ...], wanted: Sequence[Numbers]) -> tuple[list[Heard], set[str]]:
+def _heard(
+    files: tuple[Path, ...], wanted: Sequence[TopicField]
+) -> tuple[list[FieldSeries], set[str]]:
     """Return what a bag says of each of the numbers, and the names of its topics."""
     decoders, topics = dict[ChannelDefinition, Decoder](), set[str]()
-    heard = [Heard(numbers) for numbers in wanted]
+    heard = [FieldSeries(numbers) for numbers in wanted]
     for scan, block in read_blocks(files):
         for number in () if block is None else np.unique(block.headers["channel"]).tolist():
             assert block is not None
@@ -358,7 +362,7 @@ def _heard(files: tuple[Path, ...], wanted: Sequence[Numbers]) -> tuple[list[Hea
     return heard, topics
 
 
-def as_table(found: Sequence[Rest], commanded_unit: str, actual_unit: str) -> Iterator[str]:
+def table_lines(found: Sequence[RestPair], commanded_unit: str, actual_unit: str) -> Iterator[str]:
     """Yield the lines of a table of pairs; units in brackets at its heads."""
     yield (
         f"commanded [{commanded_unit}],actual [{actual_unit}],standard uncertainty [{actual_unit}]"

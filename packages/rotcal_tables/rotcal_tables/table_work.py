@@ -68,11 +68,11 @@ from rotcal_ros.report.printing import html_to_pdf
 from rotcal_tables.sheets.words import TABLE_ANGLE
 
 TABLE, TARGETS, SETUP, AFTER, IN_FORCE = "table", "targets", "setup", "after", "in_force"
-PLACES: Final = {
+FILE_NAMES: Final = {
     TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml", AFTER: "after.txt",
 }  # fmt: skip
 """What was dropped -> its place in the folder; targets are found beside the table."""
-RESULT, OWN_SETUP, REPORT, PDF, DCC = (
+RESULT, GENERATED_SETUP, REPORT, PDF, DCC = (
     "result.json", "setup.yaml", "report.html", "report.pdf", "certificate.xml",
 )  # fmt: skip
 _STATED: Final = re.compile(r"--set '?([\w.]+)(?:=[^\s;,]*)?")
@@ -99,9 +99,9 @@ _BOXES: Final = {
 }
 """Options of the command line -> the boxes of the page that say the same."""
 SHOWN_ROWS: Final = 6
-TITLES: Final = {method.name: phrase(method.title) for method in usable_methods()}
+METHOD_TITLES: Final = {method.name: phrase(method.title) for method in usable_methods()}
 """Of the methods, which are loaded here: the processes are copies of one that has done so."""
-LABELS: Final = {
+SHORT_LABELS: Final = {
     "identity.item": phrase("Item"),
     "identity.serial": phrase("Serial number"),
     "identity.place": phrase("Place"),
@@ -116,7 +116,7 @@ Reply = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Asked:
+class WorkRequest:
     """The files in ``folder``, what people call them, and what a person has stated.
 
     ``names`` maps what was dropped to names of files; ``changes`` are ``group.name=value``. The
@@ -132,35 +132,37 @@ class Asked:
     def configuration(self) -> Configuration:
         """Return the set-up that was dropped, with the changes, or one that is made of these."""
         if SETUP in self.names:
-            return changed(read_configuration(self.folder / PLACES[SETUP]), self.changes)
+            return changed(read_configuration(self.folder / FILE_NAMES[SETUP]), self.changes)
         known = known_settings(self.method)
         given = (given_value(self.method, known, change) for change in self.changes)
         values = values_of_tables(self.method) | dict(given)
-        return parse_configuration(setup_text(self.method, known, values), OWN_SETUP)
+        return parse_configuration(setup_text(self.method, known, values), GENERATED_SETUP)
 
     def read(self, announce: Callable[[Reading], object] = str, role: str = TABLE) -> Measurements:
         """Return what was measured, with the names that people know."""
         configuration = self.configuration()
-        targets = self.folder / PLACES[TARGETS] if TARGETS in self.names else None
-        measured = read_measurements(self.folder / PLACES[role], configuration, targets, announce)
+        targets = self.folder / FILE_NAMES[TARGETS] if TARGETS in self.names else None
+        measured = read_measurements(
+            self.folder / FILE_NAMES[role], configuration, targets, announce
+        )
         known = {self.describe(name): digest for name, digest in measured.sha256.items()}
         assert is_dataclass(measured)
         return replace(measured, sha256=known)
 
     def describe(self, text: str) -> str:
         """Return a text with the names of files as people know them."""
-        known = {PLACES[role]: name for role, name in self.names.items() if role in PLACES}
-        text = text.replace(f"{self.folder}/", "").removeprefix(f"{OWN_SETUP}: ")
+        known = {FILE_NAMES[role]: name for role, name in self.names.items() if role in FILE_NAMES}
+        text = text.replace(f"{self.folder}/", "").removeprefix(f"{GENERATED_SETUP}: ")
         places = "|".join(map(re.escape, known))
         return re.sub(places, lambda place: known[place[0]], text) if known else text
 
 
-def label_of(name: str, meaning: str) -> Phrase:
+def setting_label(name: str, meaning: str) -> Phrase:
     """Return what stands beside the field of a setting."""
-    return LABELS.get(name) or phrase(meaning.replace(", in quotes", ""))
+    return SHORT_LABELS.get(name) or phrase(meaning.replace(", in quotes", ""))
 
 
-def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
+def run_work(sender: Connection, work: Callable[[WorkRequest], Reply], asked: WorkRequest) -> None:
     """Do some work in a process of its own and send its outcome, or the error."""
     signal(SIGINT, SIG_IGN)  # the page ends this process itself
     try:
@@ -170,7 +172,7 @@ def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> 
     sender.send(reply)
 
 
-def error_reply(error: Exception, asked: Asked) -> Reply:
+def error_reply(error: Exception, asked: WorkRequest) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
     text, *log = error_lines(error)
     question = error.question if isinstance(error, RotcalError) else None
@@ -185,7 +187,7 @@ def error_reply(error: Exception, asked: Asked) -> Reply:
     }
 
 
-def with_boxes(method: str) -> list[str]:
+def settings_on_page(method: str) -> list[str]:
     """Return the settings that the page has a box for, those of the measurement first."""
     known, stated = known_settings(method), values_of_tables(method)
     first = [name for name in first_asked(known, stated) if name not in stated]
@@ -199,14 +201,14 @@ def _options_alone(found: re.Match[str]) -> str:
     return f" ({', '.join(options)})" if options else ""
 
 
-def at_boxes(text: str, method: str) -> Phrase:
+def name_page_fields(text: str, method: str) -> Phrase:
     """Return an error with the boxes of the page in the place of options of the command line.
 
     Its parts are the labels, which the page translates. A setting of a method without a box is one
     of a set-up file.
     """
     known = known_settings(method) if method else {}
-    boxes, labels = with_boxes(method) if known else [], list[Phrase]()
+    boxes, labels = settings_on_page(method) if known else [], list[Phrase]()
 
     def place(label: Phrase, quote: str = '"') -> str:
         labels.append(label)
@@ -217,7 +219,7 @@ def at_boxes(text: str, method: str) -> Phrase:
         if name not in known:
             return name
         if name in boxes:
-            return place(label_of(name, unit_and_meaning(known[name])[1]))
+            return place(setting_label(name, unit_and_meaning(known[name])[1]))
         return place(phrase("{0} (in a set-up file)", name), "")
 
     def option(found: re.Match[str]) -> str:
@@ -234,12 +236,12 @@ def at_boxes(text: str, method: str) -> Phrase:
     return phrase(text, *labels)
 
 
-def _at_boxes(text: str, asked: Asked) -> Any:
-    shown = at_boxes(text.replace("--reference-u ARCSEC (k = 1), ", ""), asked.method)
+def _at_boxes(text: str, asked: WorkRequest) -> Any:
+    shown = name_page_fields(text.replace("--reference-u ARCSEC (k = 1), ", ""), asked.method)
     return json_value(shown) if shown.parts else shown
 
 
-def _in_words(question: Question, asked: Asked) -> Reply:
+def _in_words(question: Question, asked: WorkRequest) -> Reply:
     """Return a question for the page, with those that are asked besides."""
     return {
         "setting": question.setting,
@@ -249,14 +251,14 @@ def _in_words(question: Question, asked: Asked) -> Reply:
     }
 
 
-def fitted(asked: Asked) -> Reply:
+def list_fitting_methods(asked: WorkRequest) -> Reply:
     """Return the methods whose columns the table has, those that need nothing else first."""
-    found = fitting_methods(asked.folder / PLACES[TABLE])
+    found = fitting_methods(asked.folder / FILE_NAMES[TABLE])
     found = sorted(found, key=lambda method: method.table is None or method.table.needs_setup)
     return {"methods": [method.name for method in found]}
 
 
-def explained(asked: Asked) -> Reply:
+def explain_tables(asked: WorkRequest) -> Reply:
     """Return how the tables are understood, as far as they are, and what stands against it."""
     readings, error = list[Reading](), None
     try:
@@ -267,7 +269,7 @@ def explained(asked: Asked) -> Reply:
     return {"tables": tables, "error": error}
 
 
-def _table(reading: Reading, asked: Asked) -> Reply:
+def _table(reading: Reading, asked: WorkRequest) -> Reply:
     return {
         "name": asked.describe(reading.table.path.name),
         "form": json_value(reading.form),
@@ -305,24 +307,24 @@ def _unit(use: Use | None, quantity: str, name: str) -> Reply:
     return {"setting": unit_setting(name, quantity), "units": tuple(UNITS[quantity])}
 
 
-def solved(asked: Asked) -> Reply:
+def solve_table(asked: WorkRequest) -> Reply:
     """Solve the table; keep the result, and the set-up with which the command line repeats it."""
     result = asked.read().solve()
     write_atomically(asked.folder / RESULT, result.to_json())
-    write_atomically(asked.folder / OWN_SETUP, asked.configuration().text)
+    write_atomically(asked.folder / GENERATED_SETUP, asked.configuration().text)
     return {
-        "deviations": json_value(shown(result)),
+        "deviations": json_value(page_deviations(result)),
         "verdict": result.verdict,
         "simulated": result.circumstances.simulated,
         "warnings": json_value(result.warnings),
         "rejected": len(result.rejected),
         "dof": result.dof,
         "sigma0": result.sigma0,
-        "files": [RESULT, OWN_SETUP],
+        "files": [RESULT, GENERATED_SETUP],
     }
 
 
-def shown(result: Result) -> Deviations:
+def page_deviations(result: Result) -> Deviations:
     """Return a result as the operator's page shows it; without U if that is withheld."""
     why = why_withheld(result)
     curves = []
@@ -341,7 +343,7 @@ def shown(result: Result) -> Deviations:
     )
 
 
-def verified(asked: Asked) -> Reply:
+def verify_tables(asked: WorkRequest) -> Reply:
     """Judge the measurement by a second one, made with the table in force.
 
     The option ``stated`` holds changes for the second table alone.
@@ -362,21 +364,21 @@ def verified(asked: Asked) -> Reply:
     }
 
 
-def reported(asked: Asked) -> Reply:
+def write_report(asked: WorkRequest) -> Reply:
     """Write the report."""
     with use_language(str(asked.options["language"])):
         report_measurement(asked.read(), asked.folder / REPORT)
     return {"files": [REPORT]}
 
 
-def as_pdf(asked: Asked) -> Reply:
+def write_pdf(asked: WorkRequest) -> Reply:
     """Print the report."""
     data = html_to_pdf(read_text(asked.folder / REPORT))
     replace_atomically(asked.folder / PDF, partial(write_durably, content=data))
     return {"files": [PDF]}
 
 
-def certified(asked: Asked) -> Reply:
+def write_dcc(asked: WorkRequest) -> Reply:
     """Write the digital calibration certificate."""
     (asked.folder / DCC).unlink(missing_ok=True)
     write = plugins.load(plugins.FUNCTIONS, "write_certificate", "function")
@@ -384,7 +386,7 @@ def certified(asked: Asked) -> Reply:
     return {"files": [DCC]}
 
 
-def for_controller(asked: Asked) -> Reply:
+def export_to_controller(asked: WorkRequest) -> Reply:
     """Write the files for a controller, by the code of ``rotcal export``."""
     folder, result, options = asked.folder / "controller", asked.folder / RESULT, asked.options
     spacing, accepted = options["spacing"], set(map(str, options["accept"]))
@@ -406,7 +408,7 @@ def for_controller(asked: Asked) -> Reply:
     return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
 
 
-def advised(asked: Asked) -> Reply:
+def advise_plan(asked: WorkRequest) -> Reply:
     """Return what ``rotcal plan advise`` says, given its ``arguments``; without any what it knows.
 
     Raises ConfigurationError where the package is missing, or the arguments are none of it.
@@ -423,15 +425,15 @@ def advised(asked: Asked) -> Reply:
     return found
 
 
-WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
-    "fit": fitted,
-    "explain": explained,
-    "solve": solved,
-    "verify": verified,
-    "report": reported,
-    "pdf": as_pdf,
-    "dcc": certified,
-    "controller": for_controller,
-    "advise": advised,
+WORK_FUNCTIONS: Final[Mapping[str, Callable[[WorkRequest], Reply]]] = {
+    "fit": list_fitting_methods,
+    "explain": explain_tables,
+    "solve": solve_table,
+    "verify": verify_tables,
+    "report": write_report,
+    "pdf": write_pdf,
+    "dcc": write_dcc,
+    "controller": export_to_controller,
+    "advise": advise_plan,
 }
 """What the page may ask for."""

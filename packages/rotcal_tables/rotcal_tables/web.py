@@ -56,27 +56,27 @@ from rotcal_ros.page.state import json_value
 from rotcal_tables import table_work
 from rotcal_tables.table_work import (
     AFTER,
+    FILE_NAMES,
     IN_FORCE,
-    PLACES,
+    METHOD_TITLES,
     REPORT,
     TABLE,
-    TITLES,
-    WORK,
-    Asked,
+    WORK_FUNCTIONS,
     Reply,
-    label_of,
-    with_boxes,
+    WorkRequest,
+    setting_label,
+    settings_on_page,
 )
 
 STATIC: Final = Path(__file__).with_name("static")
 """Files of this page; what it shares with the operator's page is there."""
-WORK_S: Final = 600.0
+WORK_TIMEOUT_S: Final = 600.0
 """Longest time of one piece of work."""
-MOST_ASKED: Final = 1_000_000
+LARGEST_REQUEST: Final = 1_000_000
 """Most bytes of a request that is no file."""
 LONGEST_NAME: Final = 120
-ANGLES: Final = (START, STEP, POSITIONS)
-OF_TABLE: Final = phrase("as in the table")
+TABLE_ANGLE_SETTINGS: Final = (START, STEP, POSITIONS)
+AS_IN_TABLE: Final = phrase("as in the table")
 """What stands in an empty box of table angles: nothing of it is sent as a plan."""
 REPORT_POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
@@ -85,7 +85,7 @@ REPORT_POLICY: Final = (
 """A report has its style inside, and nothing that runs."""
 
 
-class Worker:
+class WorkProcess:
     """Does one piece of work at a time, each in a process of its own."""
 
     def __init__(self) -> None:
@@ -93,19 +93,21 @@ class Worker:
         self._context.set_forkserver_preload([table_work.__name__])
         self._lock = asyncio.Lock()
 
-    async def __call__(self, work: Callable[[Asked], Reply], asked: Asked) -> Reply:
+    async def __call__(self, work: Callable[[WorkRequest], Reply], asked: WorkRequest) -> Reply:
         """Return what the work produces; its errors are reported too."""
         async with self._lock:
             receiver, sender = self._context.Pipe(duplex=False)
             process = self._context.Process(
-                target=table_work.answer, args=(sender, work, asked), daemon=True
+                target=table_work.run_work, args=(sender, work, asked), daemon=True
             )
             process.start()
             sender.close()
             try:
-                reply: Reply = await asyncio.wait_for(asyncio.to_thread(receiver.recv), WORK_S)
+                reply: Reply = await asyncio.wait_for(
+                    asyncio.to_thread(receiver.recv), WORK_TIMEOUT_S
+                )
             except asyncio.TimeoutError:
-                return _error(f"this takes longer than {WORK_S:g} s and was ended")
+                return _error(f"this takes longer than {WORK_TIMEOUT_S:g} s and was ended")
             except EOFError:
                 return _error("the work ended without an answer: perhaps memory ran out")
             finally:
@@ -118,7 +120,7 @@ def _error(text: str) -> Reply:
     return {"error": {"text": text, "log": [], "question": None}}
 
 
-class Desk:
+class UploadSession:
     """What one person has dropped into ``folder``, and what was made of it; answers requests.
 
     ``names`` maps what was dropped to names of files as people know them, ``files`` the names of
@@ -127,23 +129,23 @@ class Desk:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._work = Worker()
+        self._work = WorkProcess()
         self._names: dict[str, str] = {}
         self._files: dict[str, Path] = {}
         self.token = ""
 
-    async def start(self, _request: Request) -> Response:
+    async def send_start(self, _request: Request) -> Response:
         """Answer with what the page needs once."""
-        methods = [(name, json_value(title)) for name, title in TITLES.items()]
+        methods = [(name, json_value(title)) for name, title in METHOD_TITLES.items()]
         return JSONResponse({
             "token": self.token, "names": self._names, "methods": methods, "method": DEFAULT,
             "controllers": controller_names(), "advises": "advise" in plugins.names(plugins.PLANS),
         })  # fmt: skip
 
-    async def take(self, request: Request) -> Response:
+    async def receive_file(self, request: Request) -> Response:
         """Keep a file in the place of its role, or forget what is there."""
         role, name = request.path_params["role"], request.query_params.get("name", "")
-        if role not in (*PLACES, IN_FORCE):
+        if role not in (*FILE_NAMES, IN_FORCE):
             raise ConfigurationError(f"unknown kind of file {role!r:.80}")
         if request.method == "DELETE":
             self._forget(role)
@@ -153,15 +155,15 @@ class Desk:
         return JSONResponse({"names": self._names})
 
     def _forget(self, role: str) -> None:
-        if role in PLACES:
-            (self._folder / PLACES[role]).unlink(missing_ok=True)
+        if role in FILE_NAMES:
+            (self._folder / FILE_NAMES[role]).unlink(missing_ok=True)
             self._names.pop(role, None)
             self._outdated(role)
         else:
             shutil.rmtree(self._folder / IN_FORCE, ignore_errors=True)
 
     async def _keep(self, role: str, name: str, request: Request) -> None:
-        place = self._folder / (PLACES.get(role) or f"{IN_FORCE}/{check_file_name(name)}")
+        place = self._folder / (FILE_NAMES.get(role) or f"{IN_FORCE}/{check_file_name(name)}")
         place.parent.mkdir(exist_ok=True)
         part, size = place.with_name(token_urlsafe(9)), 0
         try:
@@ -177,7 +179,7 @@ class Desk:
             part.replace(place)
         finally:
             part.unlink(missing_ok=True)  # what was cut off
-        if role in PLACES:
+        if role in FILE_NAMES:
             self._names[role] = printable(name)[:LONGEST_NAME]
             self._outdated(role)
 
@@ -186,10 +188,10 @@ class Desk:
         if role != AFTER:
             self._files.clear()
 
-    async def work(self, request: Request) -> Response:
+    async def do_work(self, request: Request) -> Response:
         """Answer with what becomes of the table, and offer the files that are made."""
-        what, options = request.path_params["what"], await json_fields(request, MOST_ASKED)
-        if what not in WORK or not options:
+        what, options = request.path_params["what"], await json_fields(request, LARGEST_REQUEST)
+        if what not in WORK_FUNCTIONS or not options:
             raise ConfigurationError(f"cannot do {what!r:.80} with what was sent")
         if (what != "advise" and TABLE not in self._names) or (
             what == "verify" and AFTER not in self._names
@@ -198,13 +200,14 @@ class Desk:
         changes = tuple(map(str, options.get("changes", ())))
         method = str(options.get("method", ""))
         reply = await self._work(
-            WORK[what], Asked(self._folder, dict(self._names), method, changes, options)
+            WORK_FUNCTIONS[what],
+            WorkRequest(self._folder, dict(self._names), method, changes, options),
         )
         files = {Path(name).name: self._folder / name for name in reply.get("files", ())}
         self._files |= files
         return JSONResponse({**reply, "files": list(files)}, 422 if reply.get("error") else 200)
 
-    async def download(self, request: Request) -> Response:
+    async def send_file(self, request: Request) -> Response:
         """Answer with a file that was made; a report is shown, all else is kept."""
         name = request.path_params["name"]
         if name not in self._files:
@@ -219,19 +222,19 @@ async def _index(_request: Request) -> Response:
     return FileResponse(STATIC / "web.html")
 
 
-def make_app(folder: Path, port: int) -> OneVisitor:
+def make_app(folder: Path, port: int) -> SingleBrowserGuard:
     """Return the application, guarded; it keeps its files in ``folder``."""
-    desk = Desk(folder)
-    guard = OneVisitor(
+    session = UploadSession(folder)
+    guard = SingleBrowserGuard(
         Starlette(
             routes=[
                 Route("/", _index),
                 Route("/words", translation_catalogues),
-                Route("/start", desk.start),
+                Route("/start", session.send_start),
                 Route("/settings/{method}", _settings),
-                Route("/files/{role}", desk.take, methods=["POST", "DELETE"]),
-                Route("/do/{what}", desk.work, methods=["POST"]),
-                Route("/made/{name}", desk.download),
+                Route("/files/{role}", session.receive_file, methods=["POST", "DELETE"]),
+                Route("/do/{what}", session.do_work, methods=["POST"]),
+                Route("/made/{name}", session.send_file),
                 Mount(
                     "/static", StaticFiles(directory=STATIC, packages=[(page.__name__, "static")])
                 ),
@@ -240,7 +243,7 @@ def make_app(folder: Path, port: int) -> OneVisitor:
         ),
         port,
     )
-    desk.token = guard.token
+    session.token = guard.token
     return guard
 
 
@@ -249,28 +252,30 @@ async def _refused(_request: Request, error: Exception) -> Response:
 
 
 async def _settings(request: Request) -> Response:
-    return JSONResponse(list(asked_settings(request.path_params["method"])))
+    return JSONResponse(list(page_settings(request.path_params["method"])))
 
 
-def asked_settings(method: str) -> Iterator[Reply]:
+def page_settings(method: str) -> Iterator[Reply]:
     """Yield what the page asks for, as ``rotcal new`` does, and what certificates need besides."""
     known = known_settings(method)
-    for name in with_boxes(method):
+    for name in settings_on_page(method):
         declared = known[name]
         unit, meaning = unit_and_meaning(declared)
         yield {
             "name": name,
-            "meaning": json_value(label_of(name, meaning)),
+            "meaning": json_value(setting_label(name, meaning)),
             "unit": unit,
             "kind": declared.kind.__name__,
             "list": declared.is_list,
             "choices": declared.info.named_choices,
-            "default": json_value(OF_TABLE) if name in ANGLES else default_in_words(declared),
+            "default": json_value(AS_IN_TABLE)
+            if name in TABLE_ANGLE_SETTINGS
+            else default_in_words(declared),
             "asked": not name.startswith("identity.") or name in OF_THE_ITEM,
         }
 
 
-class OneVisitor(RequestGuard):
+class SingleBrowserGuard(RequestGuard):
     """Lets in the one browser that brings ``key`` first, and from then on its cookie."""
 
     def __init__(self, app: ASGIApp, port: int) -> None:

@@ -17,8 +17,8 @@ from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.table_columns import ANGLE, TIME, SheetSettings
 from rotcal_ros.foundation.table_forms import read_any
 from rotcal_ros.foundation.table_reading import Known, Reading
-from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_tables.sheets.words import Heading, answer, columns_of, units_of
+from rotcal_tables.sheets.numerals import Measure, decimal_marks, parse_measure, to_si
+from rotcal_tables.sheets.words import Heading, column_option, heading_columns, units_of
 
 HEADERS = (("position", "target", "length_m"),)
 BALLS = (("position", "ball_step", "x_m", "y_m", "z_m"),)
@@ -66,12 +66,12 @@ def test_a_head_that_says_too_little(tmp_path, text, error):
     ],
 )
 def test_numbers_as_people_write_them(text: str, mark: str, value: str) -> None:
-    assert parse(text, mark) == Measure(Decimal(value))
+    assert parse_measure(text, mark) == Measure(Decimal(value))
 
 
 @pytest.mark.parametrize("text", ["", "x", "1,2,3", "12,34,567", "1 23", "--5", "1.2.3", "0,123"])
 def test_no_numbers_with_a_decimal_point(text: str) -> None:
-    assert parse(text, ".") is None
+    assert parse_measure(text, ".") is None
 
 
 @pytest.mark.parametrize(
@@ -88,17 +88,17 @@ def test_no_numbers_with_a_decimal_point(text: str) -> None:
     ],
 )
 def test_angles_as_people_write_them(text: str, degrees: float) -> None:
-    measure = parse(text, ".", ANGLE)
+    measure = parse_measure(text, ".", ANGLE)
     assert measure is not None
-    assert float(in_si(measure, "")) == pytest.approx(degrees * pi / 180, rel=1e-15)
+    assert float(to_si(measure, "")) == pytest.approx(degrees * pi / 180, rel=1e-15)
 
 
 def test_sixty_minutes_are_no_angle() -> None:
-    assert parse("12°60'00\"", ".", ANGLE) is None
+    assert parse_measure("12°60'00\"", ".", ANGLE) is None
 
 
 def test_moments_are_seconds() -> None:
-    assert parse("1970-01-02T00:00:30", ".", TIME) == Measure(Decimal("86430.0"), "s")
+    assert parse_measure("1970-01-02T00:00:30", ".", TIME) == Measure(Decimal("86430.0"), "s")
 
 
 @given(
@@ -108,9 +108,9 @@ def test_a_length_in_another_unit_is_the_same_double(metres: Decimal, unit: str)
     size = {"m": 0, "mm": 3, "um": 6}.get(unit)
     value = metres.scaleb(size) if size is not None else metres
     expected = metres if size is not None else metres * Decimal("0.0254")
-    measure = parse(f"{value:f}", ".")
+    measure = parse_measure(f"{value:f}", ".")
     assert measure is not None
-    assert float(in_si(measure, unit)) == float(expected)
+    assert float(to_si(measure, unit)) == float(expected)
 
 
 def test_what_tells_the_decimal_mark() -> None:
@@ -136,15 +136,15 @@ def test_what_tells_the_decimal_mark() -> None:
 def test_headings(text: str, columns: tuple[str, ...], units: tuple[str, ...]) -> None:
     head = Heading.of(text)
     assert head.units == units
-    assert columns_of(head)[: len(columns)] == columns
-    assert bool(columns_of(head)) == bool(columns)
+    assert heading_columns(head)[: len(columns)] == columns
+    assert bool(heading_columns(head)) == bool(columns)
 
 
 @given(st.text(min_size=1))
 @pytest.mark.parametrize("text", [None, "Weg [mm]", "d, gemessen", "it's", "Länge: {x}", "# 1"])
 def test_an_answer_can_be_pasted_as_an_error_shows_it(text: str | None, any_text: str) -> None:
     text = text or any_text
-    option, change = shlex.split(printable(answer("length", text)))
+    option, change = shlex.split(printable(column_option("length", text)))
     assert option == "--set"
     assert yaml.safe_load(change.removeprefix("sheet.columns=")) == [f"length={text}"]
 

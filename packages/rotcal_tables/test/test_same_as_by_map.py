@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.foundation.column_map import ColumnMap
 from rotcal_ros.foundation.table_columns import SheetSettings
+from rotcal_ros.foundation.table_forms import ColumnMap
 from rotcal_ros.foundation.table_reading import Known
 from rotcal_tables.sheets.reading import READER
 

@@ -20,7 +20,7 @@ from rotcal_ros.foundation.errors import BagError, UndecidedError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.configuration import changed, parse_configuration
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_tables.sheets.files import sheets
+from rotcal_tables.sheets.files import read_sheets
 
 CASES = Path(__file__).with_name("data")
 EXAMPLES = Path(__file__).parents[3] / "examples" / "data"
@@ -351,7 +351,7 @@ def test_a_small_workbook_that_unpacks_without_end_is_refused(tmp_path, rows, te
         file.writestr("xl/sharedStrings.xml", f"<sst {main}><si><t>{text}</t></si></sst>")
     assert path.stat().st_size < 200_000
     with pytest.raises(BagError, match=r"more than .* cells or .* copy the table into a new"):
-        sheets(path)
+        read_sheets(path)
 
 
 @pytest.mark.parametrize("form", ["[h]:mm:ss", "h:mm:ss"])

@@ -23,8 +23,8 @@ from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.foundation.plugins import FUNCTIONS, names
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_tables import web
-from rotcal_tables.table_work import at_boxes
-from rotcal_tables.web import Desk, Worker, asked_settings, make_app
+from rotcal_tables.table_work import name_page_fields
+from rotcal_tables.web import UploadSession, WorkProcess, make_app, page_settings
 
 ORIGIN = "http://127.0.0.1:8000"
 METHOD = "tracer_multistation"
@@ -191,7 +191,7 @@ def test_of_an_upload_that_is_cut_off_nothing_stays(tmp_path):
         "type": "http", "method": "POST", "headers": [], "path": "/", "query_string": b"",
         "path_params": {"role": "table"},
     }  # fmt: skip
-    asyncio.run(Desk(tmp_path).take(Request(scope, receive)))
+    asyncio.run(UploadSession(tmp_path).take(Request(scope, receive)))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -312,7 +312,7 @@ def test_of_methods_that_fit_the_one_that_needs_nothing_else_comes_first(visitor
 def test_what_a_method_has_to_be_told_is_named(visitor):
     visitor.drop("table", "balls.csv", (DATA / "balls.csv").read_bytes())
     error = visitor.work("explain", method="ball_plate")["error"]
-    asked = {s["name"] for s in asked_settings("ball_plate") if s["default"] == "-"}
+    asked = {s["name"] for s in page_settings("ball_plate") if s["default"] == "-"}
     assert len(asked) == 4
     assert set(error["names"]) == asked
     text, *labels = error["text"]
@@ -356,7 +356,7 @@ def test_what_a_method_has_to_be_told_is_named(visitor):
     ],
 )  # fmt: skip
 def test_options_and_settings_are_boxes_of_the_page(method, told, shown):
-    assert at_boxes(told, method) == shown
+    assert name_page_fields(told, method) == shown
 
 
 def test_an_uncertainty_that_is_missing_is_that_of_its_box(visitor):
@@ -500,13 +500,13 @@ def test_another_table_takes_the_results_away(visitor):
 def test_work_that_takes_too_long_is_ended_and_the_next_is_done(visitor, monkeypatch):
     visitor.lengths(OWN[0].read_bytes())
     with monkeypatch.context() as patched:
-        patched.setattr(web, "WORK_S", 0.001)
+        patched.setattr(web, "WORK_TIMEOUT_S", 0.001)
         assert "takes longer than 0.001 s" in visitor.work("solve")["error"]["text"]
     assert visitor.work("explain")["error"] is None
 
 
 def test_work_whose_process_dies_is_told():
-    told = asyncio.run(Worker()(os._exit, 3))
+    told = asyncio.run(WorkProcess()(os._exit, 3))
     assert told["error"]["text"].startswith("the work ended without an answer")
 
 

@@ -300,7 +300,8 @@ def test_a_refusal_names_boxes_in_the_language_of_the_page(opened):
     page.locator("#controller").select_option("csv")
     page.locator("#controller_form button").click()
     told = page.locator("#controller_error")
-    expect(told).to_contain_text(page.locator("label[for=in_force_replace]").inner_text())
+    box = page.locator("label[for=in_force_replace]").inner_text()
+    expect(told).to_contain_text(box, timeout=PATIENCE_MS)
     assert "--" not in told.inner_text()
 
 

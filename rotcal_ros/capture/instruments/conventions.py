@@ -95,7 +95,7 @@ class Conventions:
     def _path(self, role: str) -> str:
         return str(getattr(self.settings, _FIELDS[role])) if role in _FIELDS else ""
 
-    def unfit(self, role: str, type_name: str, fields: Collection[str]) -> str:
+    def why_unusable(self, role: str, type_name: str, fields: Collection[str]) -> str:
         """Return why messages of a type cannot be used in a role; empty: they can.
 
         ``fields`` are the dotted names of its numbers.
@@ -125,7 +125,7 @@ class Conventions:
             "that the time of sending counts"
         )
 
-    def taken_ns(self, role: str, stamp_ns: Any, sent_ns: Any) -> Any:
+    def measured_at_ns(self, role: str, stamp_ns: Any, sent_ns: Any) -> Any:
         """Return when a value was taken, by the common clock; one time or (n,), integer ns.
 
         ``stamp_ns`` is the time in its header, ``sent_ns`` that of sending.
@@ -147,7 +147,7 @@ class Conventions:
 
     def record(self, role: str, record: Any, sent_ns: int) -> Any:
         """Return a record of a message of the role's own type, in SI and by the common clock."""
-        record = replace(record, stamp_ns=self.taken_ns(role, record.stamp_ns, sent_ns))
+        record = replace(record, stamp_ns=self.measured_at_ns(role, record.stamp_ns, sent_ns))
         match record:
             case TracerSample():
                 std = self.length(record.length_std)
@@ -175,7 +175,7 @@ class Conventions:
         )
 
     @property
-    def nameless(self) -> TopicSettings:
+    def without_topic_names(self) -> TopicSettings:
         """The settings without the names of the topics."""
         named: dict[str, Any] = dict.fromkeys(self.settings.renamed(), "")
         return replace(self.settings, **named)
@@ -188,7 +188,7 @@ class Conventions:
             "probe_single_shot": False,
             "length_trigger": "",
         }
-        return replace(self.nameless, **irrelevant) == TopicSettings()
+        return replace(self.without_topic_names, **irrelevant) == TopicSettings()
 
 
 STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")

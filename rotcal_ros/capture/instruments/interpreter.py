@@ -78,7 +78,7 @@ class Interpreter:
             return self._angles.moving(own) if isinstance(own, TableSample) else own
         stamp_ns = form.stamp_ns(message, sent_ns)
         if role == names.PROBE_POINT:
-            taken_ns = self.conventions.taken_ns(role, stamp_ns, sent_ns)
+            taken_ns = self.conventions.measured_at_ns(role, stamp_ns, sent_ns)
             return Position(taken_ns, self.conventions.position(form.row(message)))
         sensor = attrgetter("header.frame_id")(message) if form.stamped else ""
         return _AIR[role](stamp_ns, sensor, self.conventions.air(role, form.row(message)[0]))
@@ -87,7 +87,7 @@ class Interpreter:
         self, role: str, rows: Ints, stamps: Ints, sent_ns: Ints, values: Floats
     ) -> NDArray[np.void]:
         """Return the readings or the feedback of bare ``values`` (n, numbers and limits)."""
-        taken = self.conventions.taken_ns(role, stamps, sent_ns)
+        taken = self.conventions.measured_at_ns(role, stamps, sent_ns)
         if role == names.TRACER_LENGTH:
             return self._lengths.readings(rows, taken, values)
         return self._angles.feedback(rows, taken, values)

@@ -193,7 +193,7 @@ class Rates:
         """Count a stream anew."""
         self._stamps.pop(role, None)
 
-    def hertz(self) -> dict[str, float]:
+    def rates_hz(self) -> dict[str, float]:
         """Return the rates of the streams with enough messages; 0 where the stamps stand still."""
         rates = {}
         for role, stamps in self._stamps.items():

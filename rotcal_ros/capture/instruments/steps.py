@@ -140,7 +140,7 @@ class StepFinder:
         self._keep(sample.stamp_ns, sample)
         return self._judge_until(self._newest_ns - DELAY_NS)
 
-    def complaint(self) -> str | None:
+    def current_fault(self) -> str | None:
         """Return why the last order has no answer, once table and probe stand still."""
         if not self._orders or self._orders[-1].points or self._position is None:
             return None

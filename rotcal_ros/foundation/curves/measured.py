@@ -77,7 +77,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
         free=merge @ result.zeros.of(component, len(result.angles)),
         free_names=tuple(d.name if [*d.columns] == [component] else "" for d in result.zeros.free),
         open_zeros=result.zeros.describe([component]),
-        raw_data=result.raw_data.of_curve(component).tied(merge),
+        raw_data=result.raw_data.of_curve(component).transformed(merge),
         serial=result.circumstances.identity.serial,
         axis=result.circumstances.axis,
         shown=min(result.sigma0, 1.0) if result.dof else 1.0,

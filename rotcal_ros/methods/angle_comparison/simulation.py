@@ -46,7 +46,7 @@ class SimulatedComparison(AngleReader):
         smooth = harmonics(self._reference.errors, np.array([shown]))
         return float(smooth[0] + self._reference.mark_arcsec * ARCSEC * own[0])
 
-    def seen(self, stamp_ns: int, order: Command) -> Floats:
+    def true_reading(self, stamp_ns: int, order: Command) -> Floats:
         """Return the true reading and 0, rad; the reference stands where the table is ordered."""
         setting = order.station % len(self._zero)
         shown = order.table_angle - self._reference.shifts_deg[setting] * DEGREE

@@ -73,7 +73,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     solution = ball_plate.adjust(_chosen(configuration, plan, observations))
     result, arrivals = ball_plate.result_of(solution), _arrivals(configuration, plan)
     number = {o.step: k for k, o in enumerate(observations)}  # the rows of the plate are steps
-    result = replace(result, raw_data=result.raw_data.renumbered(number))
+    result = replace(result, raw_data=result.raw_data.with_row_numbers(number))
     if all(o.kind == PointKind.SURFACE and o.captured for o in observations):
         why = phrase("touch points that lie below the centre of a ball are refused by the capture")
         result = result.protected(Protection("sign of z", "harmless", why))

@@ -244,9 +244,9 @@ class TouchProbeSettings:
     systematic_um: float = setting(
         1.0, doc="um, standard deviation of the machine's error along each axis", minimum=0.0
     )
-    wavelength_m: float = expert(
-        0.25, doc="m, distance over which the machine's error changes", minimum=1e-3
-    )
+    wavelength_m: ClassVar[
+        Annotated[float, "a share of the travel, as of a machine's guideways and scales"]
+    ] = 0.25
     noise_um: float = setting(
         0.2, doc="um, standard deviation of a touch point along each axis", minimum=0.0
     )

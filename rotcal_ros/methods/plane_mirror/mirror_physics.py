@@ -91,7 +91,7 @@ class TrackerStation:
     place: tuple[float, float, float]
     heading: float = 0.0
 
-    def seen(self, points: Floats) -> Floats:
+    def to_local(self, points: Floats) -> Floats:
         """Return world points (..., 3) in the frame of the tracker."""
         turn = rotation_from_vector([0.0, 0.0, self.heading])
         return np.asarray((points - np.array(self.place)) @ turn)

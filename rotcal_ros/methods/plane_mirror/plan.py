@@ -191,7 +191,7 @@ def tracker_sees(settings: MirrorPlanSettings) -> See:
         if step.kind is PointKind.MIRRORED:
             pose = mirror.pose(rotation_about_z(step.table_angle))
             place = mirror.image(pose, station, place, f"step {step.index}")
-        return tuple(station.seen(place).tolist())
+        return tuple(station.to_local(place).tolist())
 
     return see
 

@@ -143,7 +143,9 @@ class TrackerSettings:
     displaced_attempts: int = expert(
         1, doc="so many attempts at that nest find it displaced", minimum=1
     )
-    displaced_mm: float = expert(1.0, doc="mm, by which that nest is displaced")
+    displaced_mm: ClassVar[
+        Annotated[float, "as dirt in a nest; displaced_nest says whether there is any"]
+    ] = 1.0
 
 
 @dataclass(frozen=True)

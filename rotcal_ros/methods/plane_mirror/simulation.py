@@ -101,7 +101,7 @@ class SimulatedTracker(SeriesInstrument):
         place = self._place(command, stamp_ns)
         if command.kind == PointKind.MIRRORED:
             place = self._image(stand, place, stamp_ns)
-        seen = self._drifted(stand.seen(place), stamp_ns)
+        seen = self._drifted(stand.to_local(place), stamp_ns)
         if not np.all(np.isfinite(seen)):
             return self.point(stamp_ns, command, seen, 0.0)
         covariance = self._noise.covariance(seen)

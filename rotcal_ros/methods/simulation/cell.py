@@ -112,6 +112,6 @@ class SimulatedCell:
             air=self._air.readings(number, seconds),
         )
 
-    def unasked_point(self) -> ProbeSample:
+    def unsolicited_point(self) -> ProbeSample:
         """Return a point of kind UNKNOWN, without an order: where the probe stands now."""
-        return self.instrument.unasked(self.now_ns)
+        return self.instrument.unsolicited(self.now_ns)

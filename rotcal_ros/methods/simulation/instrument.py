@@ -73,7 +73,7 @@ class SimulatedInstrument(ABC):
         """Return where it believes to be (n, 3), m: by itself the origin of its frame."""
         return np.zeros((len(stamps), 3))
 
-    def unasked(self, now_ns: int) -> ProbeSample:
+    def unsolicited(self, now_ns: int) -> ProbeSample:
         """Return where it believes to be, as a point of kind UNKNOWN."""
         return self.point(now_ns, _NO_ORDER, self.positions(np.array([now_ns]))[0], 0.0)
 
@@ -159,7 +159,7 @@ class AngleReader(SeriesInstrument):
         self.own, self._noise, self._read = own, IndexedNoise(seed, source), 0
 
     @abstractmethod
-    def seen(self, stamp_ns: int, order: Command) -> Floats:
+    def true_reading(self, stamp_ns: int, order: Command) -> Floats:
         """Return the true angles (2,), rad, without noise; the second is 0 where there is one."""
 
     def series(self, _order: Command) -> Series:
@@ -175,7 +175,7 @@ class AngleReader(SeriesInstrument):
         std = self.own.noise_arcsec * ARCSEC * np.array([1.0, 1.0, 0.0])
         noise = self.own.noise_arcsec * ARCSEC * self._noise.normal(2 * self._read, 2)
         self._read += 1
-        seen = self.seen(stamp_ns, order)
+        seen = self.true_reading(stamp_ns, order)
         beyond = np.abs(seen).max() > self.own.range_arcsec * ARCSEC
         read = np.append(np.where(beyond, np.nan, seen) + noise, 0.0)
         return self.point(stamp_ns, order, read, std, number)

@@ -114,7 +114,9 @@ class TableSettings:
     ripple_arcsec: float = expert(
         0.0, minimum=0.0, doc="arcsec, amplitude about even motion while the table turns on"
     )
-    ripple_hz: float = expert(3.0, doc="Hz, of that ripple", minimum=1e-3, maximum=1000.0)
+    ripple_hz: ClassVar[
+        Annotated[float, "slow enough for the feedback to show it, fast enough to average out"]
+    ] = 3.0
 
 
 @dataclass(frozen=True)
@@ -146,9 +148,9 @@ class SimulatedAirSettings:
         101_325.0, doc="Pa, pressure at the start", minimum=20e3, maximum=130e3
     )
     pressure_swing_pa: float = setting(0.0, doc="Pa, amplitude of the periodic part", minimum=0.0)
-    pressure_swing_period_s: float = setting(
-        600.0, doc="s, period of the periodic part", minimum=1e-3
-    )
+    pressure_swing_period_s: ClassVar[
+        Annotated[float, "minutes, as with doors; pressure_swing_pa says whether there is any"]
+    ] = 600.0
     humidity: float = setting(0.5, doc="relative humidity, 0 to 1", minimum=0.0, maximum=1.0)
     noise_pa: float = setting(1.0, doc="Pa, noise of one reading", minimum=0.0)
     vacuum_lengths: bool = setting(

@@ -123,12 +123,12 @@ class Tilting:
         """The nominal rotations (t, 3, 3)."""
         return rotation_from_vector(self.tilts[:, None] * np.eye(3)[self.along])
 
-    def back(self, points: Floats, tilt: Ints) -> Floats:
+    def remove_tilt(self, points: Floats, tilt: Ints) -> Floats:
         """Return points (n, 3) as a perfect axis would have them at a tilt of 0."""
         inverse = np.swapaxes(self.turns, -1, -2)[tilt]
         return np.asarray(self.point + np.einsum("nij,nj->ni", inverse, points - self.point))
 
-    def forth(self, points: Floats, tilt: int) -> Floats:
+    def apply_tilt(self, points: Floats, tilt: int) -> Floats:
         """Return where a perfect axis takes ``points`` (..., 3) at a tilt."""
         return np.asarray(self.point + (points - self.point) @ self.turns[tilt].T)
 
@@ -328,7 +328,7 @@ class BallsOnTable:
         flat = self.turned(self.aims) + self.origin
         if self.tilting is None:
             return flat[None]
-        return np.array([self.tilting.forth(flat, tilt) for tilt in range(self.tilts)])
+        return np.array([self.tilting.apply_tilt(flat, tilt) for tilt in range(self.tilts)])
 
     @property
     def tilts(self) -> int:
@@ -367,7 +367,7 @@ class BallsOnTable:
         """Return where balls at ``places`` (k, 3) stand at each angle, (p, k, 3), from c0."""
         return np.asarray(places @ np.swapaxes(rotation_about_z(self.angles), -1, -2))
 
-    def untold(self, places: Floats, seen: Floats | float) -> Floats:
+    def unstated_motions(self, places: Floats, seen: Floats | float) -> Floats:
         """Return rows (t p, 6, 6), per unit of a statement, of motions that are open there.
 
         Balls at ``places`` (k, 3); ``seen`` (t p, k b, 1, 1): 0 for targets that are not. Rows of
@@ -387,7 +387,7 @@ class BallsOnTable:
     @cached_property
     def shown(self) -> tuple[str, ...]:
         """The motions that the targets determine at every angle where all are seen."""
-        share = np.linalg.norm(self.untold(self.places, 1.0), axis=1).max(axis=0)
+        share = np.linalg.norm(self.unstated_motions(self.places, 1.0), axis=1).max(axis=0)
         return tuple(
             name for name, left in zip(COMPONENTS, share, strict=True) if left < LEFT_OVER
         )
@@ -402,7 +402,7 @@ class BallsOnTable:
         if len(self.bars):
             return start
         if self.tilting is not None:
-            points = self.tilting.back(points, self.tilt)
+            points = self.tilting.remove_tilt(points, self.tilt)
         turn = rotation_about_z(self.angles[self.position])
         design = np.zeros((*points.shape, 2 + self.places.size))
         design[:, [0, 1], [0, 1]] = 1.0
@@ -628,7 +628,11 @@ def _open_motions(balls: BallsOnTable, places: Floats, *, whole: bool) -> csr_ar
     count = balls.tilts * len(balls.angles)
     seen = np.zeros((count, len(balls.aims), 1, 1))
     seen[balls.stop, balls.target] = 1.0
-    untold = np.broadcast_to(np.eye(6), (count, 6, 6)) if whole else balls.untold(places, seen)
+    untold = (
+        np.broadcast_to(np.eye(6), (count, 6, 6))
+        if whole
+        else balls.unstated_motions(places, seen)
+    )
     stop, row = np.nonzero(untold.any(axis=2))
     at = np.arange(6) * count + stop[:, None]  # of each stop, its six
     entries = untold[stop, row].ravel(), (np.repeat(np.arange(len(stop)), 6), at.ravel())
@@ -737,7 +741,9 @@ def model_of(
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
-    shifts = Steps(zero, when, centred=True).fewer(MOST_MOMENTS)  # their mean is the axis's place
+    shifts = Steps(zero, when, centred=True).thinned(
+        MOST_MOMENTS
+    )  # their mean is the axis's place
     model = Model(
         blocks=balls.blocks,
         observed=read.value if count == 1 else read.points.ravel(),

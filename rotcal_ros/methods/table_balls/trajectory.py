@@ -73,7 +73,7 @@ def _readings(balls: BallsOnTable, found: Adjusted) -> tuple[Floats, Floats, Boo
     used = np.asarray(found.fit.used[: n * c].reshape(n, c).all(axis=1))
     if len(balls.bars):
         return read - np.linalg.norm(balls.arms, axis=1)[balls.target][:, None], std, used
-    flat = read if balls.tilting is None else balls.tilting.back(read, balls.tilt)
+    flat = read if balls.tilting is None else balls.tilting.remove_tilt(read, balls.tilt)
     turn = rotation_about_z(balls.angles[balls.position])
     on_table = np.einsum("nji,nj->ni", turn, flat - balls.origin) - balls.places[balls.target]
     away = np.einsum("nij,nj->ni", local_directions(balls.places)[balls.target], on_table)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.tracer.settings import (
@@ -37,9 +37,9 @@ class CarriedTracerSettings(SimulatedReadingsSettings):
     misplaced_place: int = expert(
         -1, doc="number of a place that the person mistakes; -1: none", minimum=-1
     )
-    misplaced_mm: float = expert(
-        50.0, doc="mm, by which the first mounting there is wrong, along x"
-    )
+    misplaced_mm: ClassVar[
+        Annotated[float, "beyond plan.place_tolerance_m; misplaced_place says whether and where"]
+    ] = 50.0
 
 
 @dataclass(frozen=True)

@@ -104,13 +104,13 @@ class SimulatedCellNode(CellNode):
 
     def _follow(self, message: JointState) -> None:
         """Take the actual angle of a table that another program moves; its clock is ours."""
-        self.health.clock.look()
+        self.health.clock.poll()
         stamp_ns = messages.stamp_ns(message.header.stamp) - self._jumped_ns
         self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
 
     def _turn(self) -> None:
         """Let as much machine time pass as has passed on the wall clock, or on ``/clock``."""
-        self.health.clock.look()
+        self.health.clock.poll()
         now_ns = self._steady_ns()
         passed_ns, self._turned_ns = now_ns - self._turned_ns, now_ns
         longest_ns = LONGEST_SIM_TURN_NS if self.health.sim.used else LONGEST_TURN_NS
@@ -149,7 +149,7 @@ class SimulatedCellNode(CellNode):
     def _tell_position(self) -> None:
         """Publish the probe's position without an order, so that a preflight hears the machine."""
         if not self._cell.busy:
-            self._publish(CellOutput(probe=(self._cell.unasked_point(),)))
+            self._publish(CellOutput(probe=(self._cell.unsolicited_point(),)))
 
     def _steady_ns(self) -> int:
         """Return the time of the machine."""

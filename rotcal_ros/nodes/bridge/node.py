@@ -288,7 +288,7 @@ class ControllerAccess:
         assert self._secret is not None
         health = self._node.health
         await wait_for_condition(
-            health.aware, AWARE_TIMEOUT_S
+            health.is_current, AWARE_TIMEOUT_S
         )  # a calibration may have begun meanwhile
         if not self._secret.is_in(secret):
             response.message = "the request does not carry the secret of bridge.secret_file"

@@ -110,7 +110,7 @@ class InstrumentStreams:
         self._joint = configuration.cell.joint
         self._interpreter = Interpreter(self.topics.settings, self._joint)
 
-    def not_silent(self) -> None:
+    def restart_silence(self) -> None:
         """Count silences from now on: while the node was busy, messages waited unread."""
         self._heard_s = dict.fromkeys(self._heard_s, self._awake.now_s())
 
@@ -120,7 +120,9 @@ class InstrumentStreams:
         values |= {f"valid.{role}": self._valid[role] for role in self._heard_s}
         values |= {f"{NOW}{role}": reading_values(record) for role, record in self._latest.items()}
         values |= {f"{FRAME}{role}": frame for role, frame in self._frames.items()}
-        values |= {f"{RATE}{role}": f"{hertz:.4g}" for role, hertz in self._rates.hertz().items()}
+        values |= {
+            f"{RATE}{role}": f"{hertz:.4g}" for role, hertz in self._rates.rates_hz().items()
+        }
         if (scatter := reading_scatter(self._lengths)) is not None:
             values[f"{SCATTER}{names.TRACER_LENGTH}"] = f"{scatter:.4g}"
         values |= self._joints.values()
@@ -278,7 +280,10 @@ class InstrumentTopics:
         self._goals = goals
         if settings == self.settings:
             return
-        nameless = Conventions(settings).nameless != Conventions(self.settings).nameless
+        nameless = (
+            Conventions(settings).without_topic_names
+            != Conventions(self.settings).without_topic_names
+        )
         self.settings = settings
         for role, stream in self._streams.items():
             if stream.move(self.name(role)) or nameless:
@@ -293,5 +298,5 @@ def _kind(role: str, type_name: str, conventions: Conventions) -> tuple[type | N
         kind = message_type(type_name)
     except BagError as error:
         return None, str(error)
-    why = conventions.unfit(role, type_name, [*numeric_fields(kind())])
+    why = conventions.why_unusable(role, type_name, [*numeric_fields(kind())])
     return (None, why) if why else (kind, "")

@@ -50,7 +50,7 @@ class CaptureWarnings:
         """Note an observation: three rejected in a row are an error, fewer a warning."""
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
-        alarm, text = self._rejections.alarming, self._rejections.describe()
+        alarm, text = self._rejections.is_alarming, self._rejections.describe()
         beat_values.set_warning(self._health, beat_values.REJECTED, text, alarm=alarm)
         if text:
             self._health.beat()  # at once: the goal may end with this rejection
@@ -94,9 +94,9 @@ class CaptureNode(CellNode):
         self._orders = self.take_orders(self._take_order)
         self.every(PERIOD_S, self._ask)
 
-    def gather_s(self) -> float:
+    def batch_period_s(self) -> float:
         """Collect readings: an observation has to wait for a window of them anyway."""
-        return self.idle_s() or READINGS_S
+        return self.idle_batch_period_s() or READINGS_S
 
     def deactivated(self) -> None:
         """Stop capturing: readings that come meanwhile are missing from every window."""
@@ -116,12 +116,12 @@ class CaptureNode(CellNode):
     def _ask(self) -> None:
         """Ask for a length where the instrument measures on request."""
         if self._capture is not None:
-            self._trigger.look(self._capture.readings, wanted=self._capture.asks_for_length)
+            self._trigger.poll(self._capture.readings, wanted=self._capture.asks_for_length)
 
     def _feed(self, record: Record) -> None:
         if self._capture is None:
             return
-        for observation in map(self._instruments.offsets.judged, self._capture.feed(record)):
+        for observation in map(self._instruments.offsets.check_clocks, self._capture.feed(record)):
             self._verdicts["accepted" if observation.accepted else "rejected"] += 1
             self._warnings.observed(observation)
             self._observations.publish(conversions.observation_message(observation))
@@ -150,7 +150,7 @@ class CaptureNode(CellNode):
             self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
         self._run, self._needed = unique_run_name(message), calibration.topics
-        self._instruments.not_silent()
+        self._instruments.restart_silence()
         self._verdicts.clear()
         self._state = NodeState.of(State.WORKING, Why.CAPTURING, calibration.method.name)
 
@@ -161,12 +161,12 @@ class CaptureNode(CellNode):
         if self._capture is not None:
             for stream, counts in self._capture.counts.items():
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}
-            found = self._finder.complaint() if self._finder is not None else None
-            found = found or self._trigger.complaint
+            found = self._finder.current_fault() if self._finder is not None else None
+            found = found or self._trigger.current_fault
             values[beat_values.WAITING_FOR] = found or self._capture.waiting_for or ""
-            if hopeless := self._capture.hopeless():
+            if hopeless := self._capture.why_unmeasurable():
                 values[beat_values.HOPELESS] = hopeless
-            self._warnings.complain(found or self._capture.complaint())
+            self._warnings.complain(found or self._capture.current_fault())
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
         return self._state, values
@@ -183,7 +183,7 @@ class LengthTrigger:
         self._client: Any = None
         self._call: Any = None
         self._since_s, self._asked = 0.0, -1
-        self.complaint: str | None = None
+        self.current_fault: str | None = None
 
     def serve(self, name: str) -> None:
         """Ask this service from now on; empty: none."""
@@ -191,9 +191,9 @@ class LengthTrigger:
             self._node.destroy_client(self._client)
         self._client = self._node.create_client(Trigger, name) if name else None
         self._call = None
-        self._asked, self.complaint = -1, None
+        self._asked, self.current_fault = -1, None
 
-    def look(self, received: int, *, wanted: bool) -> None:
+    def poll(self, received: int, *, wanted: bool) -> None:
         """Ask for a length where one is ``wanted``; ``received`` counts the readings so far."""
         if self._client is None or not self._is_free() or not wanted:
             return
@@ -201,7 +201,9 @@ class LengthTrigger:
         if received == self._asked and not late:
             return
         if not self._client.service_is_ready():
-            self.complaint = f"no node offers the service {self._client.srv_name} (length_trigger)"
+            self.current_fault = (
+                f"no node offers the service {self._client.srv_name} (length_trigger)"
+            )
             return
         self._asked, self._since_s = received, time.monotonic()
         self._call = self._client.call_async(Trigger.Request())
@@ -214,16 +216,16 @@ class LengthTrigger:
             if time.monotonic() - self._since_s <= ANSWER_S:
                 return False
             silent = f"no answer to {self._client.srv_name} in {ANSWER_S:g} s"
-            self.complaint = f"the instrument took no length: {silent} (length_trigger)"
+            self.current_fault = f"the instrument took no length: {silent} (length_trigger)"
             self._client.remove_pending_request(self._call)
             self._call = None
             return True
         answer, self._call = self._call.result(), None
         self._since_s = time.monotonic()
-        self.complaint = None
+        self.current_fault = None
         if not answer.success:
             name = self._client.srv_name
-            self.complaint = f"the instrument took no length ({name}): {answer.message}"
+            self.current_fault = f"the instrument took no length ({name}): {answer.message}"
         return True
 
 

@@ -157,7 +157,7 @@ class ListeningNodes:
 
     def _stamped(self, topic: str, stamp_ns: int, sent_ns: int, received_ns: int) -> None:
         if topic in TIMED:
-            taken_ns = self._conventions.taken_ns(topic, stamp_ns, sent_ns)
+            taken_ns = self._conventions.measured_at_ns(topic, stamp_ns, sent_ns)
             self._offsets.note(topic, taken_ns, received_ns)
 
     def _look(self) -> None:
@@ -373,7 +373,7 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
         yield line
     elif snapshot.started_by_us and not machines:
         yield CheckLine(part, order, "note", "simulated: rotcal run starts the node that obeys it")
-    elif why := list(graph.without_machine(order)):
+    elif why := list(graph.machine_faults(order)):
         todo = f"let your machine's node subscribe to {name} ({_TYPES[order]}), volatile"
         yield CheckLine(part, order, "missing", "; ".join(why), todo)
     else:

@@ -50,7 +50,7 @@ class ReadingCounter:
         self._interpreter = Interpreter(TopicSettings())
         self.understood, self.longest_s, self._last_s = 0, 0.0, 0.0
 
-    def hear(self, batch: Batch) -> None:
+    def receive(self, batch: Batch) -> None:
         """Take serialised readings."""
         now_s = time.monotonic()
         self.longest_s = max(self.longest_s, now_s - (self._last_s or now_s))
@@ -83,7 +83,7 @@ def run_rate_trial(folder: Path) -> tuple[bool, str]:
     heard = ReadingCounter(recording)
     depth = QoSProfile(depth=LISTENING_DEPTH)
     listening = DrainedSubscription(
-        there.node, TracerLength, names.TRACER_LENGTH, depth, heard.hear, raw=True
+        there.node, TracerLength, names.TRACER_LENGTH, depth, heard.receive, raw=True
     )
     sending = threading.Thread(target=publish_readings, args=(here, count))
     sending.start()

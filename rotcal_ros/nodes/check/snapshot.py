@@ -145,7 +145,7 @@ class CellSnapshot:
             return None if wrong is None else wrong.found
         silent = role in single_shots(self.configuration.topics)
         delivered = silent or self.values.get(f"valid.{role}", "0") != "0"
-        return next(self.graph.without_instrument(self.name(role), delivered), None)
+        return next(self.graph.instrument_faults(self.name(role), delivered), None)
 
     def joint_faults(self) -> Iterator[str]:
         """Yield what is wrong with the table's joint; an adapter judges its joint itself."""

@@ -82,7 +82,7 @@ def start_and_end_all_nodes() -> float:
     """Start all nodes and end them; return the seconds until all beat. Raises NodeError."""
     beating: set[str] = set()
 
-    def hear(beat: NodeStateMsg) -> None:
+    def receive(beat: NodeStateMsg) -> None:
         beating.add(beat.node)
 
     with ExitStack() as stack:
@@ -99,7 +99,7 @@ def start_and_end_all_nodes() -> float:
 
         # Two ends that the middleware never connects: a new one it does connect.
         for _ in range(2):
-            listening = peer.node.create_subscription(NodeStateMsg, names.HEARTBEAT, hear, qos)
+            listening = peer.node.create_subscription(NodeStateMsg, names.HEARTBEAT, receive, qos)
             if peer.work_until(settled, load_scaled_timeout(0.5 * START_S)):
                 break
             peer.node.destroy_subscription(listening)

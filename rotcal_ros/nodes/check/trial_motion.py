@@ -149,7 +149,7 @@ class TrialMotionNode(CellNode):
         """Return why nothing may be ordered; None: it may."""
         if self.health.is_calibrating():
             return "a calibration is running: its planner alone gives orders"
-        if reason := self._stop.why or self._stop.heed():
+        if reason := self._stop.why or self._stop.check_stop():
             return f"emergency stop: {reason}"
         return None
 

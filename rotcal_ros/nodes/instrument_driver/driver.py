@@ -228,7 +228,7 @@ class TableRestDetector:
         self._since: TableSample | None = None
         self._latest: TableSample | None = None
 
-    def hear(self, sample: TableSample) -> None:
+    def receive(self, sample: TableSample) -> None:
         """Take a feedback."""
         rests = abs(sample.velocity) <= self._speed
         if not rests or self._since is None or self._off(sample, self._since.angle):

@@ -39,7 +39,7 @@ class TableFeedbackSubscription:
         self._joint, self._rest = joint, rest
         self._topics = InstrumentTopics(node, self._switched)
         self._interpreter = Interpreter(self._topics.settings, joint)
-        self._topics.listen(names.JOINT_STATES, node.health.guarded(self.hear))
+        self._topics.listen(names.JOINT_STATES, node.health.guarded(self.receive))
 
     def why_not(self, order: Command) -> str | None:
         """Return why the table does not rest where ``order`` sent it; None: it does."""
@@ -49,11 +49,11 @@ class TableFeedbackSubscription:
         joint = self._joint and f", joint {self._joint}"
         return why and f"{why} ({self._topics.name(names.JOINT_STATES)}{joint})"
 
-    def hear(self, type_name: str, batch: Batch) -> None:
+    def receive(self, type_name: str, batch: Batch) -> None:
         """Take messages of a type."""
         sent = [(message, sent_ns(info)) for message, info in batch]
         for sample in self._interpreter.records(names.JOINT_STATES, type_name, sent):
-            self._rest.hear(sample)
+            self._rest.receive(sample)
 
     def _switched(self, _role: str) -> None:
         self._interpreter = Interpreter(self._topics.settings, self._joint)

@@ -155,7 +155,7 @@ class OperatorPage(CellNode):
         capture = health.others.get("capture")
         if capture is not None and capture is not self._beat:
             self._beat = capture
-            self._streams.hear(health.values("capture"))
+            self._streams.receive(health.values("capture"))
         offer = self._table.offer()
         self.board.show(
             now=current_activity(self._heard(), offer),
@@ -429,7 +429,7 @@ class PageTopics:
         if self._calibration is None:
             return
         step = self._calibration.plan.steps[order.step]
-        place = self._calibration.stand_at(step)
+        place = self._calibration.instrument_place(step)
         angle_deg = round(order.table_angle / DEGREE, 3)
         self._visited[angle_deg % 360.0] = None
         self._board.show(
@@ -468,7 +468,7 @@ class CaptureValues:
         self._offered_s: dict[str, float] = {}
         self._values: Mapping[str, str] = {}
 
-    def hear(self, values: Mapping[str, str]) -> None:
+    def receive(self, values: Mapping[str, str]) -> None:
         """Take the values of a beat."""
         self._values, now = values, time.monotonic()
         for key, value in values.items():

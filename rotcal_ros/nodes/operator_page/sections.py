@@ -55,7 +55,7 @@ def plan_view(calibration: Calibration) -> PlanView:
     """Return targets and positions of the instrument, seen from above."""
     plan = calibration.plan
     targets = dict.fromkeys(seen_from_above(step.position) for step in plan.steps)
-    places = (calibration.stand_at(step) for step in plan.steps)
+    places = (calibration.instrument_place(step) for step in plan.steps)
     stands = dict.fromkeys(seen_from_above(place) for place in places if place is not None)
     every = max(1, math.ceil(len(targets) / MOST_TARGETS))
     return PlanView(

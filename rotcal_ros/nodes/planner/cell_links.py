@@ -128,7 +128,7 @@ class CellLinks:
         self._plan_id = plan.plan_id
         self._plans.publish(plan)
 
-    def tell_choice(self, choice: msg.StepChoice) -> None:
+    def publish_choice(self, choice: msg.StepChoice) -> None:
         """Publish what is measured next, and why."""
         self._choices.publish(choice)
 
@@ -181,13 +181,13 @@ class CellLinks:
         lacking = [
             text
             for topic, name in zip(topics, measured, strict=True)
-            for text in graph.without_instrument(
+            for text in graph.instrument_faults(
                 name, topic in silent or heard.get(f"valid.{topic}", "0") != "0"
             )
         ]
         lacking += self.elsewhere(topics)
         here = [] if all(map(graph.publishers, measured)) else [discovery_in_words(os.environ)]
-        lacking += [text for topic in ORDERS for text in graph.without_machine(topic)]
+        lacking += [text for topic in ORDERS for text in graph.machine_faults(topic)]
         stops = [stop] if stop and graph.publishers(stop) else []
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
         unheard = (graph.resolve(topic) for topic in recorded if not self._is_recorded(topic))
@@ -253,7 +253,7 @@ class CellLinks:
             elif not count:
                 texts.append(f"node {owner} does not publish {name} yet")
         called = (self.instrument(role) for role in instruments)
-        return texts + [text for name in called for text in self.graph.crowded(name)]
+        return texts + [text for name in called for text in self.graph.duplicate_publishers(name)]
 
     def missing_connections(self, accepted: PublisherList) -> list[str]:
         """Return which nodes are not connected to the publishers of a run yet, in words."""

@@ -228,7 +228,7 @@ class GoalWatch:
         self.progress.doing = doing
         self.show(self.progress)
 
-    def how_to_go_on(self, code: int, folder: SessionFolder | None) -> str:
+    def resume_instruction(self, code: int, folder: SessionFolder | None) -> str:
         """Return how to continue after an error that ends the goal half-way."""
         if code not in (
             Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED, Codes.TOPIC_MISSING,
@@ -264,10 +264,10 @@ class GoalWatch:
         arrived = await wait_for_condition(
             condition, timeout_s, self._check_machine, self._is_slow
         )
-        self.heed_stop()
+        self.wait_out_stop()
         return arrived
 
-    async def have_all_answer(self) -> None:
+    async def wait_for_slow_nodes(self) -> None:
         """Wait until no node is slow; called between orders, when nothing moves."""
         self._check()
         await self.wait(lambda: not self.slow, math.inf)
@@ -275,15 +275,15 @@ class GoalWatch:
     def _is_slow(self) -> bool:
         return bool(self.slow)
 
-    def heed_stop(self) -> None:
+    def wait_out_stop(self) -> None:
         """Raise StepInterruptedError from an emergency stop until a person has resumed."""
-        if why := self.stop.heed():
+        if why := self.stop.check_stop():
             raise StepInterruptedError(f"emergency stop: {why}")
 
     def clock_jumps(self) -> int:
         """Return how often a clock of the cell has jumped, as far as this node knows."""
         health = self.links.health
-        health.clock.look()
+        health.clock.poll()
         return health.clock.watch.count + reported_jump_count(map(health.values, health.others))
 
     async def have(
@@ -304,7 +304,7 @@ class GoalWatch:
         if why := in_vain() or ([] if came else missing() or ["preflight timed out"]):
             raise GoalError(code, "; ".join(why))
 
-    async def stands_still(self, look: Callable[[], object]) -> None:
+    async def wait_until_stable(self, look: Callable[[], object]) -> None:
         """Wait until what ``look`` returns has not changed for SETTLED_S, at most patience_s."""
         clock, known = AwakeClock(time.monotonic), look()
         since_s = clock.now_s()
@@ -318,7 +318,7 @@ class GoalWatch:
 
         await self.wait(_rarely(settled), self.patience_s)
 
-    async def is_found(self, missing: Callable[[], list[str]]) -> bool:
+    async def wait_until_found(self, missing: Callable[[], list[str]]) -> bool:
         """Return whether everything was found within FOUND_S; if not, make new publishers.
 
         Sometimes the middleware never connects two ends that it knows, but does connect new ones.
@@ -345,7 +345,7 @@ class GoalWatch:
 
     def refuse_stop(self) -> None:
         """Raise GoalError in an emergency stop, before the goal may move anything."""
-        if self.preflight and (why := self.stop.heed()):
+        if self.preflight and (why := self.stop.check_stop()):
             raise GoalError(
                 Codes.EMERGENCY_STOP,
                 f"emergency stop: {why}: nothing is ordered; release it, then start again",
@@ -353,7 +353,7 @@ class GoalWatch:
 
     def _check_machine(self) -> None:
         self._check()
-        self.heed_stop()
+        self.wait_out_stop()
 
     def _check(self) -> None:
         """Raise when the goal must end: cancel, shutdown, a node or an instrument lost."""
@@ -388,7 +388,7 @@ class GoalWatch:
         """Find the slow nodes, log an overload once, and show what is being waited for."""
         overload, before = self._overload, self._overload.text
         self.slow = self.required.slow() | self._silent
-        if text := overload.look(self.slow, time.monotonic(), machine_load.describe_load):
+        if text := overload.poll(self.slow, time.monotonic(), machine_load.describe_load):
             self.links.node.get_logger().warning(text)
         if bool(overload.text) == bool(before):
             return

@@ -104,7 +104,7 @@ class GoalMeasurement:
         """Publish which step is measured next and why; people read it, and the bag keeps it."""
         links, plan_id = self._watch.links, self._calibration.configuration.plan_id
         chosen = choice, plan_id, self._continuation.run, self._chosen, attempt
-        links.tell_choice(conversions.choice_message(*chosen, links.node.now_ns()))
+        links.publish_choice(conversions.choice_message(*chosen, links.node.now_ns()))
         self._chosen += 1
 
     async def _have_done(self, pause: Pause, work: str | None, begin: int) -> None:
@@ -229,8 +229,8 @@ class GoalMeasurement:
 
     async def _order(self, index: int, attempt: int) -> None:
         """Order an attempt at a step, once no node is slow."""
-        await self._watch.have_all_answer()
-        self._watch.heed_stop()
+        await self._watch.wait_for_slow_nodes()
+        self._watch.wait_out_stop()
         self._watch.links.order(self._calibration.plan.steps[index].command(attempt))
 
     async def _observed(self, key: Attempt) -> bool:
@@ -293,7 +293,7 @@ class OperatorRequests:
 def require_resumable(watch: GoalWatch) -> None:
     """Raise NotResumableError if a goal cannot be resumed yet."""
     health = watch.links.health
-    watch.stop.heed()
+    watch.stop.check_stop()
     stop = [f"the emergency stop is on: {watch.stop.why}"] if watch.stop.why else []
     blocked = [
         f"node {name} waits for a person: {text}"

@@ -107,7 +107,7 @@ class GoalRun:
             outcome.result_file = self.bag.keep_result(answer.result_json)
         except GoalError as error:
             begun = self.bag.folder is not None or error.code == Codes.CANCELED
-            onward = self.watch.how_to_go_on(error.code, self.bag.folder) if begun else ""
+            onward = self.watch.resume_instruction(error.code, self.bag.folder) if begun else ""
             outcome.error_code = error.code
             outcome.error_msg = "; ".join([str(error), *self._likely_causes(error)]) + onward
             await self.bag.close_after_failure()
@@ -167,7 +167,9 @@ class GoalRun:
 
     def values(self) -> dict[str, object]:
         """Return the values of the planner's beat that describe the goal."""
-        heard: dict[str, object] = {ACCEPTED: line} if (line := self._accepted.in_a_beat()) else {}
+        heard: dict[str, object] = (
+            {ACCEPTED: line} if (line := self._accepted.to_heartbeat()) else {}
+        )
         own: dict[str, object] = {**self.watch.progress.counts(), **heard}
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
@@ -175,7 +177,7 @@ class GoalRun:
     async def _fix_publishers(self) -> None:
         """Make the present publishers those of the run, and wait until all nodes know them."""
         await self._accept_publishers()
-        if not await self.watch.is_found(self._missing_connections):
+        if not await self.watch.wait_until_found(self._missing_connections):
             await self._accept_publishers()
             await self.watch.have(self._missing_connections, Codes.NODE_LOST)
 
@@ -216,7 +218,7 @@ class GoalRun:
         except RotcalError as error:
             raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
         self._continuation, self.watch.progress.left = left, len(left.steps)
-        self.watch.links.node.get_logger().info(self._calibration.left_in_words(left))
+        self.watch.links.node.get_logger().info(self._calibration.describe_remaining(left))
 
     async def _announce(self) -> None:
         """Publish the plan and wait until all nodes have taken it."""
@@ -391,9 +393,9 @@ async def _have_topics(
     missing, links = partial(_missing, calibration, watch.links), watch.links
     if watch.preflight:  # a second publisher that is found only in the run would be a stranger
         roles, publishers = calibration.topics, links.graph.publishers
-        await watch.stands_still(lambda: [publishers(links.instrument(r)) for r in roles])
+        await watch.wait_until_stable(lambda: [publishers(links.instrument(r)) for r in roles])
     # What is missing may be there but undiscovered; what is not there is waited for below.
-    await watch.is_found(
+    await watch.wait_until_found(
         lambda: [] if _halted(watch) or links.other_versions(calibration.topics) else missing()
     )
     while True:
@@ -408,7 +410,7 @@ async def _have_topics(
 
 def _halted(watch: GoalWatch) -> bool:
     """Return whether a person has to resume after an emergency stop; not in a first preflight."""
-    return not watch.preflight and bool(watch.stop.heed())
+    return not watch.preflight and bool(watch.stop.check_stop())
 
 
 def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
@@ -489,7 +491,7 @@ class Planner(CellNode):
         """Return whether no goal runs any more."""
         return not self.configured or (self._run is None and not self._preparing)
 
-    def gather_s(self) -> float:
+    def batch_period_s(self) -> float:
         """Collect messages until there is a goal."""
         return IDLE_S if self.stopped() else 0.0
 
@@ -558,7 +560,7 @@ class Planner(CellNode):
         asked = (plan_id, start_index)
         if continuation is None or (continuation.plan_id, continuation.start_index) != asked:
             calibration.plan.step(start_index)  # PlanError when there is no such step
-            continuation = calibration.from_the_start(start_index)
+            continuation = calibration.first_run(start_index)
         watch = GoalWatch(
             calibration.configuration.planner,
             self._links,

@@ -116,8 +116,10 @@ def unit_warnings(values: Values, calibration: Calibration, role: str) -> Iterat
         stated = (topics.length_unit, "topics.length_unit")
         allowed = calibration.configuration.capture.max_std_m
         text = None if scatter is None else scatters_at_rest(scatter, allowed, *stated)
-        if not text and (abs(length) > calibration.beams_m[0] or can_be_a_thousandth(scatter)):
-            text = thousandth_of_plan(length, calibration.beams_m, *stated)
+        if not text and (
+            abs(length) > calibration.beam_range_m[0] or can_be_a_thousandth(scatter)
+        ):
+            text = thousandth_of_plan(length, calibration.beam_range_m, *stated)
         if text:
             yield f"{name} {text}"
     words = values.get(NOW + role, "").split() if role == names.PROBE_POINT else []

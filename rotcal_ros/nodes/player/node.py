@@ -106,7 +106,7 @@ class ReplayPace:
         """Begin now."""
         self._begun_s = time.monotonic()
 
-    def stood_still(self, seconds: float) -> None:
+    def add_pause(self, seconds: float) -> None:
         """Go on after a pause as if there had been none."""
         self._begun_s += seconds
 
@@ -176,9 +176,9 @@ class Player:
         missing = partial(self._health.missing, self._given.nodes)
         if not self._wait(lambda: not missing(), NODES_S):
             raise ConfigurationError(f"not here within {NODES_S:g} s: {', '.join(missing())}")
-        self._guard.look(*self._bag.channels)
+        self._guard.poll(*self._bag.channels)
         self._make_publishers()
-        unheard = partial(self._outcome.unheard, self._publishers, with_plan=False)
+        unheard = partial(self._outcome.unsubscribed_topics, self._publishers, with_plan=False)
         self._wait(lambda: not unheard(), LISTENERS_S)
         self._pace.begin()
         for scan, block in read_blocks(self._bag.files):
@@ -198,7 +198,7 @@ class Player:
         if plan is not None and unique_run_name(plan) in self._bag.strangers:
             return
         if role in ORDERS:  # a machine may have appeared since the last look
-            self._guard.look(channel.topic)
+            self._guard.poll(channel.topic)
         self._publishers[channel.topic].publish(data)
         if plan is not None:
             self._have_taken(plan)
@@ -236,7 +236,7 @@ class Player:
                 f"the plan of the bag is not taken ({states}): start the nodes with the bag's "
                 "configuration"
             )
-        unheard = partial(self._outcome.unheard, self._publishers, with_plan=True)
+        unheard = partial(self._outcome.unsubscribed_topics, self._publishers, with_plan=True)
         if not self._wait(lambda: not unheard(), LISTENERS_S):
             left = ", ".join(sorted(unheard()))
             print_event(
@@ -257,7 +257,7 @@ class Player:
             if self._end:
                 raise PlaybackInterruptedError
             self._peer.work_until(condition, CLOCK_PERIOD_S)
-        self._pace.stood_still(time.monotonic() - begun_s)
+        self._pace.add_pause(time.monotonic() - begun_s)
         return bool(met)
 
     def _look(self) -> None:
@@ -272,7 +272,7 @@ class Player:
             done_s = min(self._pace.passed_s(), self._bag.seconds)
             print_event("playing", done_s=done_s, total_s=self._bag.seconds)
         if self._guard.is_due():
-            self._guard.look(*self._publishers)
+            self._guard.poll(*self._publishers)
 
 
 def _work() -> None:
@@ -337,7 +337,7 @@ class TopicConflictGuard:
         """Return whether the last look was long ago."""
         return time.monotonic() - self._looked_s > _PERIOD_S
 
-    def look(self, *topics: str) -> None:
+    def poll(self, *topics: str) -> None:
         """Raise ConfigurationError when a machine, or another source, of ``topics`` is there."""
         self._wait(lambda: not self._nameless(topics), _NAMES_S)
         self._had_time |= self._nameless(topics)
@@ -443,7 +443,9 @@ class ReplayObserver:
         """Return which of the nodes that make the result again are here, not replayed."""
         return set() if self._everything else self._health.present() & self.needed.keys()
 
-    def unheard(self, published: Mapping[str, Publisher], *, with_plan: bool) -> set[str]:
+    def unsubscribed_topics(
+        self, published: Mapping[str, Publisher], *, with_plan: bool
+    ) -> set[str]:
         """Return the ``published`` topics to which live nodes do not listen yet that need them.
 
         Those of another name they know ``with_plan`` only.

@@ -81,7 +81,7 @@ class SilenceMonitor:
         self._silent: dict[str, float] = {}
         self.counts: Counter[str] = Counter()
 
-    def look(self, heard_s: Mapping[str, float], now_s: float) -> list[SilentInterval]:
+    def poll(self, heard_s: Mapping[str, float], now_s: float) -> list[SilentInterval]:
         """Take the times at which streams that never pause were last heard, by topic.
 
         Return the silences that have ended.

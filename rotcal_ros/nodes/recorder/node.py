@@ -123,7 +123,7 @@ class RecorderNode(CellNode):
         """Return whether the bag is closed."""
         return self._writing() is None and not self._reading
 
-    def gather_s(self) -> float:
+    def batch_period_s(self) -> float:
         """Collect messages while no bag is open."""
         return IDLE_S if not self.configured or self._writing() is None else 0.0
 
@@ -133,13 +133,13 @@ class RecorderNode(CellNode):
 
     def _note_losses(self) -> None:
         """Write losses and their counters into the bag, so that they outlive this node."""
-        self._called.look(self.health.values)
+        self._called.poll(self.health.values)
         recording = self._writing()
         if recording is None:
             return
         heard = self._listener.heard_s(self._called.role)
         self._called.keep(recording.note)
-        self._dropouts.silences(self._silences.look(heard, time.monotonic()))
+        self._dropouts.silences(self._silences.poll(heard, time.monotonic()))
         self._dropouts.write(JOINED_WITHIN_S)
         if counters := self._all_losses() + self._silences.counts:
             recording.note(names.LOSSES, counters)
@@ -160,7 +160,7 @@ class RecorderNode(CellNode):
             self._dropouts.refused(messages)
         if topic.channel.topic == self._called.topic(names.OBSERVATION):
             self._listener.take_fast()  # its receipt is due once the readings before it are here
-        self._receipts.hear(topic, batch)
+        self._receipts.receive(topic, batch)
         for receipt in self._receipts.due(self._all_losses):
             self._dropouts.write()
             recording.confirm(receipt)
@@ -170,7 +170,7 @@ class RecorderNode(CellNode):
 
     def _clock_jumps(self) -> int:
         """Return how often the clock was set, up to now."""
-        self.health.clock.look()
+        self.health.clock.poll()
         return self.health.clock.watch.count
 
     def _all_losses(self) -> Counter[str]:
@@ -302,16 +302,16 @@ class RecordedTopic:
     latched: deque[SerializedMessages] = field(default_factory=lambda: deque(maxlen=MOST_LATCHED))
     losses: TopicLosses = field(default_factory=TopicLosses)
 
-    def taken_ns(self, role: str, conventions: Conventions) -> int:
+    def measured_at_ns(self, role: str, conventions: Conventions) -> int:
         """Return when the newest message was taken, by the common clock; 0: none has come."""
         if not self.latest:
             return 0
         form = conventions.form(role, self.channel.type_name)
         if form is not None and not form.stamped:
-            return int(conventions.taken_ns(role, self.sent_ns, self.sent_ns))
+            return int(conventions.measured_at_ns(role, self.sent_ns, self.sent_ns))
         seconds, nanoseconds = _STAMP.unpack_from(self.latest)
         stamp_ns = int(seconds) * 1_000_000_000 + int(nanoseconds)
-        return int(conventions.taken_ns(role, stamp_ns, self.sent_ns))
+        return int(conventions.measured_at_ns(role, stamp_ns, self.sent_ns))
 
 
 class TopicListener:
@@ -373,7 +373,7 @@ class TopicListener:
     def _first_reached_ns(self, roles: Iterable[str], called: Callable[[str], str]) -> int | None:
         heard = ((role, self.topics.get(called(role))) for role in roles)
         came = ((role, topic) for role, topic in heard if topic is not None and topic.latest)
-        return next((topic.taken_ns(role, self._conventions) for role, topic in came), None)
+        return next((topic.measured_at_ns(role, self._conventions) for role, topic in came), None)
 
     def heard_s(self, role: Callable[[str], str]) -> dict[str, float]:
         """Return when the topics that never pause were last heard, in monotonic time.
@@ -534,7 +534,7 @@ class ReceiptPublisher:
         points = self._listener.topics.get(self._called.topic(names.PROBE_POINT))
         self._pending = PendingReceipts(answered=points is not None and _echoes(points))
 
-    def hear(self, topic: RecordedTopic, batch: Batch) -> None:
+    def receive(self, topic: RecordedTopic, batch: Batch) -> None:
         """Note observations, which need a receipt, and the points that answer orders."""
         name = topic.channel.topic
         if name == self._called.topic(names.OBSERVATION):

@@ -310,7 +310,7 @@ def _message(dropout: Dropout) -> DiagnosticArray:
     status = DiagnosticStatus(
         level=DiagnosticStatus.WARN,
         name=dropout.topic,
-        message=dropout.sentence(),
+        message=dropout.describe(),
         values=[KeyValue(key=key, value=value) for key, value in dropout.values().items()],
     )
     array = DiagnosticArray(status=[status])

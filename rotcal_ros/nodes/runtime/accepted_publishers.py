@@ -163,4 +163,4 @@ def message_publisher(info: Any) -> MessageOrigin:
 
 def accepted_publishers_hash(accepted: PublisherList) -> str:
     """Return a hash of the accepted publishers."""
-    return hashlib.sha256(accepted.in_a_beat().encode()).hexdigest()[:12]
+    return hashlib.sha256(accepted.to_heartbeat().encode()).hexdigest()[:12]

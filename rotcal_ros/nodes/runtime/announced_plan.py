@@ -87,7 +87,7 @@ class PlanSubscription:
 
     def _look(self) -> None:
         """Hand over the plans that are known to be the planner's; report the others."""
-        for message, whose in self._heard.judged(self._goals_run(), time.monotonic()):
+        for message, whose in self._heard.with_known_owner(self._goals_run(), time.monotonic()):
             if whose is PlanOwner.OTHER_PLANNER:
                 self._ignored(message, "is not the planner's and was ignored")
                 continue

@@ -58,7 +58,7 @@ class CellGraph:
 
     def listeners(self, topic: str) -> list[str]:
         """Return the names of the nodes that subscribe to ``topic``."""
-        return sorted(info.node_name for info in self.wants(topic))
+        return sorted(info.node_name for info in self.subscriber_infos(topic))
 
     def nodes(self) -> list[tuple[str, str]]:
         """Return name and namespace of all nodes of the domain."""
@@ -72,17 +72,17 @@ class CellGraph:
         """Return what rclpy knows of the publishers of ``topic``."""
         return list(self.node.get_publishers_info_by_topic(self.resolve(topic)))
 
-    def wants(self, topic: str) -> list[Any]:
+    def subscriber_infos(self, topic: str) -> list[Any]:
         """Return what rclpy knows of the subscribers of ``topic``."""
         return list(self.node.get_subscriptions_info_by_topic(self.resolve(topic)))
 
-    def without_instrument(self, topic: str, has_delivered: bool) -> Iterator[str]:
+    def instrument_faults(self, topic: str, has_delivered: bool) -> Iterator[str]:
         """Yield why the cell cannot use an instrument's ``topic``."""
         name, publishers = self.resolve(topic), self.publishers(topic)
         if not publishers:
             yield f"no node publishes {name}: start its instrument"
         elif len(publishers) > 1:
-            yield from self.crowded(topic)
+            yield from self.duplicate_publishers(topic)
         elif not has_delivered:
             yield f"{name} has not delivered a valid message (node {publishers[0]})"
         yield from incompatible_listeners(self.node, name, {"capture", "recorder"}.__contains__)
@@ -97,7 +97,7 @@ class CellGraph:
         ends += [
             (topic, info)
             for topic in obeyed
-            for info in self.wants(topic)
+            for info in self.subscriber_infos(topic)
             if info.node_name not in NO_MACHINE
         ]
         for topic, info in ends:
@@ -130,7 +130,7 @@ class CellGraph:
             f"{there} looks there), or start their nodes with --ros-args -r __ns:={place}"
         )
 
-    def crowded(self, topic: str) -> Iterator[str]:
+    def duplicate_publishers(self, topic: str) -> Iterator[str]:
         """Yield a complaint if an instrument's ``topic`` has several publishers."""
         publishers = self.publishers(topic)
         if len(publishers) > 1:
@@ -140,7 +140,7 @@ class CellGraph:
                 "others"
             )
 
-    def without_machine(self, topic: str) -> Iterator[str]:
+    def machine_faults(self, topic: str) -> Iterator[str]:
         """Yield why no machine can receive the order ``topic``.
 
         A machine that cannot does not matter if another one can.

@@ -185,19 +185,19 @@ class CellNode(ManagedNode, ABC):
         listen(ProbeTarget, names.PROBE_TARGET, orders.probe_target)
         return orders
 
-    def gather_s(self) -> float:
+    def batch_period_s(self) -> float:
         """Return for how many seconds messages are collected, to be handled in one turn."""
         return 0.0
 
-    def idle_s(self) -> float:
-        """Return :meth:`gather_s` of a node that works in calibrations only."""
+    def idle_batch_period_s(self) -> float:
+        """Return :meth:`batch_period_s` of a node that works in calibrations only."""
         return 0.0 if self.health.is_calibrating() else IDLE_S
 
     def not_active_error(self) -> NotActiveError:
         """Return the error of a request to this node while it is not active."""
         return NotActiveError(f"node {self.get_name()} is {self.inactivity().describe()}")
 
-    def over(self) -> bool:
+    def has_ended(self) -> bool:
         """Return whether the node has to end: shut down, finished, or second of its name."""
         done = self.configured and self.finished()
         return self.shut_down or done or bool(self.health.refused)

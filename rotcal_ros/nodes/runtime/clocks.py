@@ -27,9 +27,9 @@ class ReportedClockJumps:
         self.watch = ClockWatch()
         self.concerns: dict[str, str] = {}
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Look at the clock; called regularly, and whenever the present time matters."""
-        jump = self.watch.look()
+        jump = self.watch.poll()
         if jump is None:
             return
         self._logger.warning(f"{jump.describe()}: what is being measured is measured again")
@@ -53,7 +53,7 @@ def reported_jump_count(beats: Iterable[Mapping[str, str]]) -> int:
 
 def describe_clock_jumps(health: Any) -> tuple[str, ...]:
     """Return the large clock jumps that nodes report, the node of ``health`` first."""
-    health.clock.look()
+    health.clock.poll()
     beats = [health.clock.concerns, *map(health.values, health.others)]
     return tuple(values[JUMP] for values in beats if JUMP in values)
 
@@ -87,7 +87,7 @@ class SimClock:
         """Whether the node follows ``/clock``."""
         return bool(self._clock.ros_time_is_active)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Look at both clocks."""
         now_ns, now_s = self._clock.now().nanoseconds, self._steady()
         if now_ns == self._now_ns:

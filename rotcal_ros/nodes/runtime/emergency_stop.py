@@ -68,7 +68,7 @@ class EmergencyStop:
         node.every(LOOK_PERIOD_S, self._look)
         steady_timer(node, LOOK_PERIOD_S, node.health.guarded(self._attend))
 
-    def heed(self) -> str | None:
+    def check_stop(self) -> str | None:
         """Return :attr:`latched`, after handling the messages that wait."""
         for heard in self._heard:
             heard.drain()
@@ -76,7 +76,7 @@ class EmergencyStop:
 
     def refuses(self, step: int) -> bool:
         """Return whether the order of a ``step`` is refused, and say so on the console."""
-        self.heed()
+        self.check_stop()
         if self.why:
             self._node.get_logger().warning(f"step {step}: refused in an emergency stop")
         return bool(self.why)
@@ -107,7 +107,7 @@ class EmergencyStop:
 
     def _hear(self, batch: Batch) -> None:
         for message, _ in batch:
-            self._sources.hear(message.data, time.monotonic())
+            self._sources.receive(message.data, time.monotonic())
             self._judge()
 
     def _diagnose(self, batch: Batch) -> None:
@@ -119,7 +119,7 @@ class EmergencyStop:
 
     def _look(self) -> None:
         """Check for silence after handling what waits: this node itself may have stood still."""
-        self.heed()
+        self.check_stop()
         self._looked_s = time.monotonic()
         self._judge()
 

@@ -197,7 +197,7 @@ class Health:
         """Return the names of the other nodes that are there, slow ones too."""
         return self.others.keys() - self.lost.keys()
 
-    def aware(self) -> bool:
+    def is_current(self) -> bool:
         """Return whether the state of the others is up to date; not right after a standstill."""
         return self.awake.awake_s() > AWARE_S
 
@@ -276,7 +276,7 @@ class Health:
             elif name in self.lost and _process(beat).is_gone:
                 continue  # sent before its process died, delivered late
             elif self._holders.is_holder(name, identity, now_s):
-                self._liveness.hear(name, awake_s - max(0.0, beat.busy))
+                self._liveness.receive(name, awake_s - max(0.0, beat.busy))
                 self.others[name] = beat
 
     def _meet(self, other: ProcessIdentity) -> None:
@@ -292,12 +292,12 @@ class Health:
 
     def _turn(self) -> None:
         """Beat, and look at the clocks and at the others."""
-        self.clock.look()
-        self.sim.look()
+        self.clock.poll()
+        self.sim.poll()
         self.beat()
         if self._beats is not None:
             self._beats.go_on()
-        for name in self._liveness.look(self.awake.now_s(), self._gone):
+        for name in self._liveness.poll(self.awake.now_s(), self._gone):
             self._node.get_logger().error(f"node {name} is lost: {self.last_words(name)}")
             if self._on_lost is not None:
                 self._on_lost(name)

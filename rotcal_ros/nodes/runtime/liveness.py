@@ -45,7 +45,7 @@ class Liveness:
     slow: dict[str, float] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
 
-    def hear(self, name: str, answered_s: float) -> None:
+    def receive(self, name: str, answered_s: float) -> None:
         """Note a beat of a node whose executor last took a turn at ``answered_s``."""
         self.seen[name] = answered_s
         if self.lost.pop(name, None):
@@ -56,7 +56,7 @@ class Liveness:
         for book in (self.seen, self.slow, self.lost):
             book.pop(name, None)
 
-    def look(self, now_s: float, gone: Callable[[str], str | None]) -> list[str]:
+    def poll(self, now_s: float, gone: Callable[[str], str | None]) -> list[str]:
         """Judge all nodes; return the names of those that are newly lost.
 
         ``gone`` says why the process of a node is gone; None: it is there, or that is not known.
@@ -88,7 +88,7 @@ class OverloadMonitor:
     _longest_s: float = 0.0
     _last_s: float | None = None
 
-    def look(
+    def poll(
         self, slow: Mapping[str, float], now_s: float, machine: Callable[[], str]
     ) -> str | None:
         """Note which nodes are slow (name -> s); return what to log, if anything.

@@ -125,7 +125,7 @@ class _Rest:
         if time.monotonic() < self._taken_s + _AWAKE_S:
             return
         if not node.health.sim.used:
-            time.sleep(node.gather_s())
+            time.sleep(node.batch_period_s())
         self._taken_s = time.monotonic()
 
 
@@ -143,7 +143,7 @@ def _spin(make: Callable[[], CellNode]) -> None:
         wake_after_jumps(executor)
         rest = _Rest()
         with suppress(ExternalShutdownException):
-            while not (end or node.over()):
+            while not (end or node.has_ended()):
                 executor.spin_once(timeout_sec=_TURN_S)
                 rest.take(node)
             if node.configured:

@@ -65,7 +65,7 @@ def wake_after_jumps(executor: Executor) -> None:
         clock = ClockWatch()
         while executor.context.ok():
             time.sleep(_LOOK_S)
-            if clock.look() is not None:
+            if clock.poll() is not None:
                 with suppress(rclpy_implementation.InvalidHandle):  # it was shut down meanwhile
                     executor.wake()
 

@@ -81,9 +81,9 @@ class SolverNode(CellNode):
         """Give up what is being solved."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
-    def gather_s(self) -> float:
+    def batch_period_s(self) -> float:
         """Collect observations: no one waits for a preliminary result."""
-        return 0.0 if self._answering else self.idle_s() or OBSERVATIONS_S
+        return 0.0 if self._answering else self.idle_batch_period_s() or OBSERVATIONS_S
 
     def _take_plan(self, message: msg.CalibrationPlan) -> None:
         """Begin with a plan, with what the recorder or this node itself has of earlier runs."""

@@ -60,7 +60,7 @@ class AdapterTablePreview:
         if len(self._publishers) > 1:
             found = f"{len(self._publishers)} publishers publish the joint {joint!r} on {topic}"
             return Finding(f"{found} ({self._who()})", "stop all but one that publish this joint")
-        if text := self._watch.doubt() or self._watch.complaint(time.monotonic()):
+        if text := self._watch.doubt() or self._watch.current_fault(time.monotonic()):
             return Finding(text, f"let {topic} give the joint in rad, and without a pause")
         return None
 
@@ -123,8 +123,8 @@ class AdapterTablePreview:
             if sample is None:
                 self._others |= dict.fromkeys(message.name)
                 continue
-            self._publishers.hear(message_publisher(info))
-            self._watch.hear(sample, time.monotonic())
+            self._publishers.receive(message_publisher(info))
+            self._watch.receive(sample, time.monotonic())
 
 
 def controller_topic(settings: TableAdapterSettings, interface: str) -> str:

@@ -88,7 +88,7 @@ class JointMonitor:
         order = self.order
         return order is not None and not order.over and not self._has_stopped(order, now_s)
 
-    def hear(self, sample: TableSample, now_s: float) -> TableSample | None:
+    def receive(self, sample: TableSample, now_s: float) -> TableSample | None:
         """Return ``sample`` as the cell shall hear it, with a velocity; None: not at all.
 
         A joint that has an order and has not begun to move is not at rest at its goal: it may
@@ -130,7 +130,7 @@ class JointMonitor:
         order = self.order
         return order is None or (order.moved and self._off(order.way) <= self._tolerance)
 
-    def complaint(self, now_s: float) -> str | None:
+    def current_fault(self, now_s: float) -> str | None:
         """Return in one sentence what is wrong with the table, None while all is well."""
         patience = self._settings.silence_s
         if self.latest is None:

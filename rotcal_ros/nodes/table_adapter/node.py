@@ -140,7 +140,7 @@ class TableAdapter(CellNode):
             if sample is None:
                 self._others = tuple(message.name)
                 continue
-            feedback = self._watch.hear(sample, self.health.awake.now_s())
+            feedback = self._watch.receive(sample, self.health.awake.now_s())
             if feedback is not None and self._passes_on:
                 self._feedback.publish(conversions.table_message(feedback, self._joint))
         self._send()
@@ -170,7 +170,7 @@ class TableAdapter(CellNode):
         if self._waiting is not None:
             return self._why_waiting()
         report = self._controller.report()
-        text = None if self._held else self._watch.complaint(self.health.awake.now_s())
+        text = None if self._held else self._watch.current_fault(self.health.awake.now_s())
         if report.trouble and (self._held or not self._watch.arrived()):
             text = report.trouble
         if text and report.done:

@@ -120,10 +120,12 @@ def test_own_messages_in_plain_settings_are_left_as_they_are():
 
 
 def test_what_is_not_understood_is_named():
-    refused = Conventions(TopicSettings()).unfit(names.TRACER_LENGTH, "std_msgs/msg/String", [])
+    refused = Conventions(TopicSettings()).why_unusable(
+        names.TRACER_LENGTH, "std_msgs/msg/String", []
+    )
     parts = ("std_msgs/msg/String", FLOAT, "TracerLength", "topics.length_field")
     assert all(part in refused for part in parts)
-    assert not Conventions(TopicSettings()).unfit(names.TRACER_LENGTH, RANGE, [])
+    assert not Conventions(TopicSettings()).why_unusable(names.TRACER_LENGTH, RANGE, [])
 
 
 DISTANCE = "acme_msgs/msg/Distance"
@@ -155,7 +157,7 @@ def test_a_number_of_any_type_is_named_by_its_fields():
 ])  # fmt: skip
 def test_a_field_that_is_not_there_is_named_with_those_that_are(fields, words):
     conventions = Conventions(TopicSettings(length_field="beam.distance"))
-    refused = conventions.unfit(names.TRACER_LENGTH, DISTANCE, fields)
+    refused = conventions.why_unusable(names.TRACER_LENGTH, DISTANCE, fields)
     assert words in refused
     assert bool(refused) == bool(words)
 

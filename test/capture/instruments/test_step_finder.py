@@ -121,8 +121,8 @@ def test_a_probe_that_is_elsewhere_is_told():
     finder = StepFinder(plan, SETTINGS)
     records = [Position(0, (1000.0, 0.0, 0.0)), ordered(0, 0, 0, plan), *table(0, 3500, 0.0)]
     assert answers(finder, records) == []
-    assert "999 m from where it was sent" in finder.complaint()
-    assert "1000 times as far; which is topics.position_unit?" in finder.complaint()
+    assert "999 m from where it was sent" in finder.current_fault()
+    assert "1000 times as far; which is topics.position_unit?" in finder.current_fault()
 
 
 @pytest.mark.parametrize(("single_shot", "at_ms", "x"), [(False, 200, 1.0), (True, 100, 0.9995)])
@@ -150,9 +150,9 @@ def test_travel_of_the_probe_is_no_complaint_until_it_stands():
     for t_ms in range(0, 4000, 50):  # on its way for 4 s, and then it stands at -2 m
         answers(finder, [Position(t_ms * MS, (-4.0 + 5e-4 * t_ms, 0.0, 0.0))])
         answers(finder, table(t_ms, t_ms + 50, 0.0))
-        assert finder.complaint() is None
+        assert finder.current_fault() is None
     answers(finder, table(4000, 8000, 0.0))
-    assert "m from where it was sent" in finder.complaint()
+    assert "m from where it was sent" in finder.current_fault()
 
 
 def test_a_table_that_never_says_it_is_there_is_named_with_its_unit():
@@ -160,9 +160,9 @@ def test_a_table_that_never_says_it_is_there_is_named_with_its_unit():
     finder = StepFinder(plan, SETTINGS)
     records = [Position(0, (1.0, 0.0, 0.0)), ordered(1, 0, 0, plan)]
     answers(finder, [*records, *table(0, 2000, 0.5, 0.1)])
-    assert finder.complaint() is None
+    assert finder.current_fault() is None
     answers(finder, table(2000, 6000, math.radians(1.0)))  # 1 rad, read as degrees
-    found = finder.complaint()
+    found = finder.current_fault()
     assert "step 1: the last feedback is" in found
     assert "in position if its 1 are radians, not degrees: see topics.angle_unit" in found
 

@@ -62,11 +62,11 @@ def test_the_rate_of_bursts_is_their_mean():
     for burst in range(4):
         for k in range(10):
             rates.note("lengths", burst * 1_000_000_000 + k * 1_000_000)
-    assert rates.hertz()["lengths"] == pytest.approx(39 / 3.009)
+    assert rates.rates_hz()["lengths"] == pytest.approx(39 / 3.009)
 
 
 def test_stamps_that_stand_still_have_no_rate():
     rates = Rates()
     for _ in range(10):
         rates.note("lengths", 0)
-    assert rates.hertz() == {"lengths": 0.0}
+    assert rates.rates_hz() == {"lengths": 0.0}

@@ -19,9 +19,8 @@ from rotcal_ros.methods import (
     prepare_to_measure,
     read_configuration,
 )
-from rotcal_ros.methods.angle_comparison.method import ALL_FIT_IF, REFERENCE_IN_RESULT
+from rotcal_ros.methods.angle_comparison.method import ALL_FIT_IF, REFERENCE_IN_RESULT, STOOD_AT
 from rotcal_ros.methods.angle_comparison.model import REFERENCE, Circles, model_of
-from rotcal_ros.methods.angle_comparison.rivals import STOOD_AT
 from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonPlanSettings,
     ComparisonSolverSettings,
@@ -311,7 +310,7 @@ def test_a_contested_cause_widens_the_reference_and_what_trials_draw():
     world = World(planned((0, 30, 150)))
     knocked = 0.2 * ARCSEC * ((world.station == 1) & (world.position >= 6))
     found = engine.adjust(world.model(world.noisy(20) + knocked))
-    assert found.diagnosis.open_contests
+    assert found.diagnosis.unresolved_contests
     certain = np.linalg.norm(found.fit.response, axis=1)
     assert (found.further[REFERENCE][1] > 1.001 * certain[13:]).any()
     drawn = pickle.loads(pickle.dumps(found.trials))(np.random.default_rng(1), 20000)

@@ -12,8 +12,8 @@ from rotcal_ros import read_result
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.angle_comparison.method import COUNT
 from rotcal_ros.methods.angle_comparison.model import model_of, readings_of
-from rotcal_ros.methods.angle_comparison.rivals import COUNT
 from rotcal_ros.methods.dry_run import prospects
 
 

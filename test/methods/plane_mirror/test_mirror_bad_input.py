@@ -141,7 +141,7 @@ def test_moved_nest_is_found_and_named(way, nest, size):
     late = [r for r in rows_of(problem, kind=NEST, nest=nest) if problem.station[r] >= 3]
     seen = [stations[problem.station[r]] for r in late]
     moved = {
-        r: problem.xyz[r] + s.seen(shift) - s.seen(0.0 * shift)
+        r: problem.xyz[r] + s.to_local(shift) - s.to_local(0.0 * shift)
         for r, s in zip(late, seen, strict=True)
     }
     result = solve(with_points(problem, moved))

@@ -152,8 +152,10 @@ def test_a_nest_that_moved_for_good_is_named(nest, station):
     for row in rows_of(problem, kind=NEST, nest=nest):
         s = problem.station[row]
         if s >= station:
-            moved = cell.stations[s].seen(cell.nests[nest - 1] + shift)
-            places[row] = problem.xyz[row] + moved - cell.stations[s].seen(cell.nests[nest - 1])
+            moved = cell.stations[s].to_local(cell.nests[nest - 1] + shift)
+            places[row] = (
+                problem.xyz[row] + moved - cell.stations[s].to_local(cell.nests[nest - 1])
+            )
     (text,) = check_nests(with_points(problem, places))
     moved = rf"a nest moved from row \d+ \(nest, tracker station {station}, nest {nest}\) on"
     assert re.search(rf"{moved}|nest {nest} stood elsewhere at station (0|5)", text)

@@ -82,11 +82,11 @@ def test_stations_and_nests_stand_where_they_were_put(way):
     ):
         assert entry["station"] == str(s)
         np.testing.assert_allclose(
-            entry["position_m"], first.seen(np.array(stand.place)), atol=1e-10
+            entry["position_m"], first.to_local(np.array(stand.place)), atol=1e-10
         )
         point = np.array([0.3, -0.7, 1.1])
         np.testing.assert_allclose(
-            entry["rotation"] @ stand.seen(point) + entry["position_m"], first.seen(point),
+            entry["rotation"] @ stand.to_local(point) + entry["position_m"], first.to_local(point),
             atol=1e-10,
         )  # fmt: skip
     nests = result.details["nests"]
@@ -94,7 +94,7 @@ def test_stations_and_nests_stand_where_they_were_put(way):
         (k, str(s)) for k in range(1, 7) for s in range(6)
     ]
     for entry in nests:
-        there = first.seen(cell.nests[entry["nest"] - 1])
+        there = first.to_local(cell.nests[entry["nest"] - 1])
         np.testing.assert_allclose(entry["position_m"], there, atol=1e-10)
         assert np.linalg.norm(entry["residual_m"]) < 1e-10
         assert entry["test_value"] < 1e-3
@@ -108,7 +108,9 @@ def test_normals_lean_and_incidence_are_those_of_the_mirror(way):
     assert result.details["lean_rad"] == pytest.approx(3.0 * DEGREE, abs=1e-9)
     assert result.details["incidence_limit_rad"] == pytest.approx(50.0 * DEGREE)
     if result.details["axis"] is not None:
-        up = cell.stations[0].seen(np.array([0, 0, 1.0])) - cell.stations[0].seen(np.zeros(3))
+        up = cell.stations[0].to_local(np.array([0, 0, 1.0])) - cell.stations[0].to_local(
+            np.zeros(3)
+        )
         np.testing.assert_allclose(result.details["axis"], up, atol=1e-9)
     np.testing.assert_allclose(result.details["tilts_rad"], np.zeros(17), atol=1e-9)
     found = result.details["normals"]
@@ -122,7 +124,7 @@ def test_normals_lean_and_incidence_are_those_of_the_mirror(way):
         n = np.array([np.cos(lean) * np.cos(a), np.cos(lean) * np.sin(a), np.sin(lean)])
         stand = cell.stations[s]
         np.testing.assert_allclose(
-            entry["normal"], stand.seen(n) - stand.seen(np.zeros(3)), atol=1e-9
+            entry["normal"], stand.to_local(n) - stand.to_local(np.zeros(3)), atol=1e-9
         )
         at = (problem.position == i) & (problem.station == s) & (problem.kind == MIRRORED)
         beams = problem.xyz[at] / np.linalg.norm(problem.xyz[at], axis=1)[:, None]
@@ -135,7 +137,7 @@ def test_radii_and_axis_of_the_direct_way():
     expected = np.hypot(PLACES[:, 0], PLACES[:, 1])
     np.testing.assert_allclose(result.details["radii_m"], expected, atol=1e-9)
     stand = paper_cell().stations[0]
-    up = stand.seen(np.array([0, 0, 1.0])) - stand.seen(np.zeros(3))
+    up = stand.to_local(np.array([0, 0, 1.0])) - stand.to_local(np.zeros(3))
     np.testing.assert_allclose(result.details["axis"], up, atol=1e-9)
 
 

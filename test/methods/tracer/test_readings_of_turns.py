@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow
 import pytest
 from pyarrow import parquet
-from turning_scene import turning_scene, write_turns
+from turning_scene import assert_true, turning_scene, write_turns
 
 import rotcal_ros as rc
 from rotcal_ros.foundation.errors import BagError, DataError
@@ -37,27 +37,12 @@ def written(scene, folder, rows, target=None, plan=ANGLES):
     return rc.read_table(table, rc.read_configuration(settings))
 
 
-def lengths_of(scene):
-    each = zip(scene.run, scene.angle, scene.target, scene.length, strict=True)
-    return {tuple(key): length for *key, length in each}
-
-
 def test_turns_are_found_and_their_lengths_are_those_of_a_cubic(scene, tmp_path):
     rows, _ = rows_of(scene)
     rows[:, 1] %= 360.0  # a feedback that wraps around
     measured = written(scene, tmp_path, rows)
     assert measured.configuration.plan.turning_deg_s == pytest.approx((60.0, -60.0), rel=1e-6)
-    true = lengths_of(scene)
-    assert len(measured.observations) == len(true)
-    for o in measured.observations:
-        assert o.accepted, o.reason
-        assert o.mean[0] == pytest.approx(true[o.station, o.table_position, o.target], abs=1e-10)
-    result = measured.solve()
-    assert result.verdict == "ok", result.warnings
-    centring = np.eye(36) - 1.0 / 36
-    error = centring @ (result.deviations["ECC"] - scene.ecc.mean(axis=0))
-    std = np.sqrt((centring @ result.covariance["ECC"] @ centring).diagonal())
-    assert np.abs(error / std).max() < 4.0
+    assert_true(scene, measured, 1e-10)
 
 
 def test_a_broken_turn_counts_from_another_zero_and_again_where_it_is_made_again(scene, tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from other_messages import write_messages
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from turning_scene import turning_scene
+from turning_scene import assert_true, turning_scene
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.recordings.inputs import MeasurementInput
@@ -75,25 +75,6 @@ def ros_bag(scene, folder, pause=(0.0, 0.0)):
     return folder
 
 
-def assert_true(scene, measured):
-    """Assert that lengths are those at the angles, and that the curve is the table's."""
-    true = {
-        key: length
-        for *key, length in zip(scene.run, scene.angle, scene.target, scene.length, strict=True)
-        for key in [tuple(key)]
-    }
-    assert len(measured.observations) == len(true)
-    for o in measured.observations:
-        assert o.accepted, o.reason
-        assert o.mean[0] == pytest.approx(true[o.station, o.table_position, o.target], abs=2e-9)
-    result = measured.solve()
-    assert result.verdict == "ok", result.warnings
-    centring = np.eye(36) - 1.0 / 36
-    error = centring @ (result.deviations["ECC"] - scene.ecc.mean(axis=0))
-    std = np.sqrt((centring @ result.covariance["ECC"] @ centring).diagonal())
-    assert np.abs(error / std).max() < 4.0
-
-
 JOINT = "cell: {joint: table}\n"
 RENAMED = "tracer_length: /laser/distance, length_unit: mm, angle_unit: deg"
 
@@ -106,7 +87,7 @@ def bag(scene, tmp_path_factory):
 def test_a_bag_of_rosbags_with_a_slower_feedback_that_wraps(scene, bag, tmp_path):
     measured = MeasurementInput(bag, setup(scene, tmp_path, RENAMED, JOINT)).read()
     assert measured.configuration.plan.turning_deg_s == pytest.approx((120.0, -120.0), rel=1e-5)
-    assert_true(scene, measured)
+    assert_true(scene, measured, 2e-9)
     assert min(o.window_start_ns for o in measured.observations) > START_NS
 
 
@@ -202,4 +183,5 @@ def test_of_a_list_of_angles_it_is_asked_which_one_is_the_tables(scene, tmp_path
     ):
         MeasurementInput(bag, setup(scene, tmp_path, PLAIN)).read()
     second = PLAIN.replace("at,", "at.1,")
-    assert_true(scene, MeasurementInput(bag, setup(scene, tmp_path, second)).read())
+    measured = MeasurementInput(bag, setup(scene, tmp_path, second)).read()
+    assert_true(scene, measured, 2e-9)

@@ -122,3 +122,19 @@ def write_turns(scene, folder, *, with_times=True, setup="", rows=None):
     text = f"plan: {{tracer_m: {scene.place.round(3).tolist()}}}\n"
     settings.write_text("method: tracer_multistation\n" + (setup or text))
     return table, settings
+
+
+def assert_true(scene, measured, length_m):
+    """Assert that lengths are those at the angles, and that the curve is the table's."""
+    each = zip(scene.run, scene.angle, scene.target, scene.length, strict=True)
+    true = {tuple(key): length for *key, length in each}
+    assert len(measured.observations) == len(true)
+    for o in measured.observations:
+        assert o.accepted, o.reason
+        assert abs(o.mean[0] - true[o.station, o.table_position, o.target]) <= length_m
+    result = measured.solve()
+    assert result.verdict == "ok", result.warnings
+    centring = np.eye(36) - 1.0 / 36
+    error = centring @ (result.deviations["ECC"] - scene.ecc.mean(axis=0))
+    std = np.sqrt((centring @ result.covariance["ECC"] @ centring).diagonal())
+    assert np.abs(error / std).max() < 4.0

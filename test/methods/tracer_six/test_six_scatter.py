@@ -79,7 +79,7 @@ def test_two_arrivals_halve_the_error_of_the_estimate():
         for seed in range(14 if LONG else 8):
             rows = scene(np.random.default_rng(seed), arrivals=arrivals, scatter=(4e-7, 2e-6)).rows
             (sizes,) = adjust(SixProblem(**rows)).found.fit.sizes.values()
-            found.append(sizes.weighing / 5e-7)
+            found.append(sizes.median_size / 5e-7)
         error[arrivals] = np.sqrt(np.mean((np.array(found) - 1.0) ** 2))
     assert error[1] < 0.25
     assert error[2] < 0.75 * error[1]

@@ -71,7 +71,7 @@ def test_360_angles_from_three_places_take_less_than_20_minutes():
         "plan.passing_deg=0.5", "plan.turning_deg_s=[12, -12]",
     )  # fmt: skip
     first = calibration.plan.steps[0]
-    seconds, why = DryRun(calibration, first.table_angle).taking()
+    seconds, why = DryRun(calibration, first.table_angle).time_estimate()
     assert seconds == pytest.approx(24 * (389.0 / 12.0 + 5.0) + 3 * 90.0, rel=1e-9)
     assert seconds < 20 * 60
     assert "90 s for a pause (planner.pause_s)" in why

@@ -36,16 +36,16 @@ def test_an_instrument_that_never_answers_is_named_and_asked_again(monkeypatch):
     client = Client()
     trigger = LengthTrigger(SimpleNamespace(create_client=lambda *_: client))
     trigger.serve("/distance/measure")
-    trigger.look(0, wanted=True)
+    trigger.poll(0, wanted=True)
     now[0] += ANSWER_S
-    trigger.look(0, wanted=True)
-    assert (trigger.complaint, len(client.calls)) == (None, 1)
+    trigger.poll(0, wanted=True)
+    assert (trigger.current_fault, len(client.calls)) == (None, 1)
     now[0] += 0.1
-    trigger.look(0, wanted=True)
-    assert trigger.complaint == (
+    trigger.poll(0, wanted=True)
+    assert trigger.current_fault == (
         "the instrument took no length: no answer to /distance/measure in 30 s (length_trigger)"
     )
     assert len(client.calls) == 2
     client.calls[1].set_result(SimpleNamespace(success=True))
-    trigger.look(1, wanted=False)
-    assert trigger.complaint is None
+    trigger.poll(1, wanted=False)
+    assert trigger.current_fault is None

@@ -180,9 +180,9 @@ def test_an_order_is_measured_when_the_table_rests_and_echoed():
         (1.0, 0.5, 0.0, "the table has just come to rest"),
         (1.4, 0.5, 0.0, "the table has just come to rest"),
     ):
-        rest.hear(TableSample(round(stamp_s * 1e9), angle, velocity))
+        rest.receive(TableSample(round(stamp_s * 1e9), angle, velocity))
         assert rest.why_not(ORDER) == why
-    rest.hear(TableSample(1_500_000_000, 0.5 + 2 * 3.141592653589793, 0.0))  # a turn further
+    rest.receive(TableSample(1_500_000_000, 0.5 + 2 * 3.141592653589793, 0.0))  # a turn further
     (place,) = heard.until(lambda h: h.places).places
     assert (place.step, place.attempt, place.kind, place.target, place.station) == (
         3, 1, PointKind.DIRECT, 2, 1

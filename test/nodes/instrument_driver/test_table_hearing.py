@@ -60,10 +60,10 @@ def test_a_table_that_speaks_otherwise_is_understood_and_why_it_is_waited_for_is
     silent = [JointState(name=["rotary"], position=[value]) for value in (30.0, 31.0)]
     for second, message in enumerate(silent):
         message.header.stamp.sec = second
-    table.hear("sensor_msgs/msg/JointState", batch(*silent))
+    table.receive("sensor_msgs/msg/JointState", batch(*silent))
     assert table.why_not(ORDER) == f"the table moves {where}"
     degrees = [Float64(data=value) for value in [390.0] * 20 + [31.0]]
-    table.hear("std_msgs/msg/Float64", batch(*degrees[:-1]))
+    table.receive("std_msgs/msg/Float64", batch(*degrees[:-1]))
     assert table.why_not(ORDER) is None
-    table.hear("std_msgs/msg/Float64", batch(*degrees)[-1:])
+    table.receive("std_msgs/msg/Float64", batch(*degrees)[-1:])
     assert table.why_not(ORDER) == f"the table moves {where}"

@@ -74,9 +74,9 @@ class Cell(SimpleNamespace):
     def nothing(self, *_):
         pass
 
-    heed_stop = tell = tell_choice = nothing
+    wait_out_stop = tell = publish_choice = nothing
 
-    async def have_all_answer(self):
+    async def wait_for_slow_nodes(self):
         pass
 
     async def wait(self, condition, _):
@@ -130,7 +130,7 @@ def goal(bag, start_index=0):
         links=links, progress=GoalProgress(len(PLAIN.plan.steps)), settings=PlannerSettings(),
         end_run=lambda _: None, required=SimpleNamespace(restart_wait_s=1.0),
     )  # fmt: skip
-    made = GoalRun(PLAIN, PLAIN.from_the_start(start_index), watch)
+    made = GoalRun(PLAIN, PLAIN.first_run(start_index), watch)
     made.bag = bag
     return made
 
@@ -194,7 +194,7 @@ def test_a_goal_canceled_while_the_recorder_opens_the_bag_has_it_closed():
 
 
 def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(monkeypatch):
-    stop = SimpleNamespace(latched="the gate is open", heed=lambda: stop.latched)
+    stop = SimpleNamespace(latched="the gate is open", check_stop=lambda: stop.latched)
     asked = []
 
     async def have(missing, code, in_vain):
@@ -213,6 +213,8 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
         return ["silent"] if stop.latched else []
 
     monkeypatch.setattr(node, "_missing", missing)
-    watch = SimpleNamespace(preflight=False, stop=stop, have=have, is_found=found, links=None)
+    watch = SimpleNamespace(
+        preflight=False, stop=stop, have=have, wait_until_found=found, links=None
+    )
     asyncio.run(node._have_topics(PLAIN, watch, Requests()))
     assert asked == ["the gate is open"]

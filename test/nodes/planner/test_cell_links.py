@@ -28,7 +28,7 @@ def links(*, publishers, recorded, refused=""):
     found.graph = SimpleNamespace(
         publishers=lambda topic: publishers if topic == STOP else [],
         listeners=lambda topic: ["recorder"] if topic != STOP or recorded else [],
-        without_machine=lambda _: [],
+        machine_faults=lambda _: [],
         resolve=lambda topic: topic,
     )
     return found
@@ -53,7 +53,7 @@ def test_a_stop_that_somebody_publishes_is_recorded_before_anything_moves(
 def test_where_an_instrument_may_be_that_is_not_under_its_name_is_told():
     cell = links(publishers=[], recorded=True)
     cell.instrument = lambda role: f"/cell/{role}"
-    cell.graph.without_instrument = lambda name, _: [f"no node publishes {name}"]
+    cell.graph.instrument_faults = lambda name, _: [f"no node publishes {name}"]
     cell.graph.elsewhere = lambda role, name: f"is it /lab/{role}?" * (role == "tracer_length")
     told, hint, *_ = cell.missing_topics(["tracer_length"])
     assert told == "no node publishes /cell/tracer_length"

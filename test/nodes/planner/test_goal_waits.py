@@ -47,7 +47,7 @@ class Cell:
         required = RequiredNodes(health, 0.0)
         required.nodes = {"capture", "recorder"}
         self.watch = GoalWatch(
-            PlannerSettings(), links, SimpleNamespace(heed=lambda: "", latched=""),
+            PlannerSettings(), links, SimpleNamespace(check_stop=lambda: "", latched=""),
             SimpleNamespace(waiting=False), GoalProgress(60, doing=STEP),
             lambda progress: self.shown.append(progress.doing.describe()), lambda: False, required,
             15.0, preflight=False, recording=True,
@@ -108,7 +108,7 @@ def test_people_are_told_once_and_see_what_is_done_again_afterwards(cell):
 def test_the_next_order_waits_until_all_answer(cell):
     cell.slow["recorder"] = 2.0
     cell.script = {8.0: cell.slow.clear}
-    asyncio.run(cell.watch.have_all_answer())
+    asyncio.run(cell.watch.wait_for_slow_nodes())
     assert cell.now_s - 100.0 == pytest.approx(8.0, abs=0.5)
 
 
@@ -117,7 +117,7 @@ def test_who_has_not_been_found_for_long_is_published_anew_once(cell, joined_s, 
     def missing():
         return [] if cell.now_s - 100.0 >= joined_s else ["node capture cannot be heard yet"]
 
-    assert asyncio.run(cell.watch.is_found(missing)) == (not anew)
+    assert asyncio.run(cell.watch.wait_until_found(missing)) == (not anew)
     assert cell.published_anew == pytest.approx(anew, abs=2 * TURN_S)
 
 
@@ -155,12 +155,12 @@ def test_what_is_missing_for_too_long_is_named(cell):
 
 def test_who_publishes_is_known_when_nobody_new_has_been_found_for_a_while(cell):
     cell.script = {0.3: lambda: cell.publishers.append("second tracer")}
-    asyncio.run(cell.watch.stands_still(lambda: [*cell.publishers]))
+    asyncio.run(cell.watch.wait_until_stable(lambda: [*cell.publishers]))
     assert cell.now_s - 100.0 == pytest.approx(0.3 + goal_watch.SETTLED_S, abs=3 * TURN_S)
 
 
 def test_a_graph_that_never_stands_still_holds_no_goal_up_for_ever(cell):
-    asyncio.run(cell.watch.stands_still(lambda: cell.now_s))
+    asyncio.run(cell.watch.wait_until_stable(lambda: cell.now_s))
     assert cell.now_s - 100.0 == pytest.approx(cell.watch.patience_s, abs=1.0)
 
 

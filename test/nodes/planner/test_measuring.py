@@ -35,7 +35,7 @@ class Cell(SimpleNamespace):
         self.node = SimpleNamespace(now_ns=lambda: 0)
         self.health = SimpleNamespace(values=lambda _: {})
 
-    def tell_choice(self, _):
+    def publish_choice(self, _):
         pass
 
     def last_accepted(self, attempts):
@@ -59,10 +59,10 @@ class Watch(SimpleNamespace):
     def clock_jumps(self):
         return 0
 
-    def heed_stop(self):
+    def wait_out_stop(self):
         pass
 
-    async def have_all_answer(self):
+    async def wait_for_slow_nodes(self):
         pass
 
     async def wait(self, condition, _):
@@ -137,10 +137,10 @@ def turned(failing=(), stopped_before=None):
     watch = Watch(
         settings=PlannerSettings(max_attempts=2), links=cell, progress=progress, owed=None
     )
-    goal = GoalMeasurement(TURNING, TURNING.from_the_start(), watch)
+    goal = GoalMeasurement(TURNING, TURNING.first_run(), watch)
     stops = [stopped_before]
 
-    def heed_stop():
+    def wait_out_stop():
         if len(cell.ordered) == stops[0]:
             stops.clear()
             stops.append(None)
@@ -149,7 +149,7 @@ def turned(failing=(), stopped_before=None):
     async def resumed(*_):
         pass
 
-    watch.heed_stop, goal.operator.have_done = heed_stop, resumed
+    watch.wait_out_stop, goal.operator.have_done = wait_out_stop, resumed
     asyncio.run(goal.measure_all())
     return cell.ordered
 

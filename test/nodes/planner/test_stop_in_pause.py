@@ -18,7 +18,7 @@ BETWEEN = "not resumed: an emergency stop came in between: look, then resume aga
 class Stop(SimpleNamespace):
     """A stop that was pressed and released as often as it says."""
 
-    def heed(self):
+    def check_stop(self):
         pass
 
 

@@ -20,7 +20,7 @@ class Replay:
 
     def __init__(self):
         self.listeners, self.published, self.waited = [], [], 0
-        self.hear = lambda: None
+        self.receive = lambda: None
         publisher = SimpleNamespace(publish=self.published.append)
         self.player = player = Player.__new__(Player)
         player._publishers = dict.fromkeys(TOPICS, publisher)
@@ -47,7 +47,7 @@ class Replay:
         if not condition():
             assert timeout_s < 60.0
             self.waited += 1
-            self.hear()
+            self.receive()
 
 
 def test_the_graph_is_asked_before_every_order_and_no_machine_gets_one():
@@ -69,7 +69,7 @@ def test_the_graph_is_asked_before_every_order_and_no_machine_gets_one():
 def test_who_listens_without_a_name_is_waited_for(name, harmless):
     replay = Replay()
     replay.listeners.append(NAMELESS)
-    replay.hear = lambda: replay.listeners.__setitem__(0, name)
+    replay.receive = lambda: replay.listeners.__setitem__(0, name)
     if harmless:
         replay.publish(TOPICS[0])
     else:
@@ -82,7 +82,7 @@ def test_who_listens_without_a_name_is_waited_for(name, harmless):
 def test_a_name_that_never_comes_is_waited_for_once_and_only_where_it_counts():
     replay = Replay()
     replay.listeners.append(NAMELESS)
-    replay.player._guard.look(*TOPICS[2:])  # who listens to joint_states moves nothing
+    replay.player._guard.poll(*TOPICS[2:])  # who listens to joint_states moves nothing
     assert replay.waited == 0
     for _ in range(3):
         with pytest.raises(ConfigurationError, match=f"node {NAMELESS} listens to"):

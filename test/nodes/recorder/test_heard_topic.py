@@ -24,7 +24,7 @@ def heard(type_name, data):
 
 def test_a_number_without_header_is_no_stamp():
     topic = heard("std_msgs/msg/Float64", b"\0\1\0\0" + struct.pack("<d", 72.5))
-    assert topic.taken_ns(names.TRACER_LENGTH, Conventions(TopicSettings())) == 9 * SECOND
+    assert topic.measured_at_ns(names.TRACER_LENGTH, Conventions(TopicSettings())) == 9 * SECOND
 
 
 @pytest.mark.parametrize(("settings", "seconds"), [
@@ -34,7 +34,7 @@ def test_a_number_without_header_is_no_stamp():
 ])  # fmt: skip
 def test_a_stamp_is_read_by_the_common_clock(settings, seconds):
     topic = heard("sensor_msgs/msg/Range", struct.pack("<4xiI", 5, 0))
-    taken_ns = topic.taken_ns(names.TRACER_LENGTH, Conventions(settings))
+    taken_ns = topic.measured_at_ns(names.TRACER_LENGTH, Conventions(settings))
     assert taken_ns == round(seconds * SECOND)
 
 

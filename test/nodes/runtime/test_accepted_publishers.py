@@ -64,7 +64,7 @@ def info(gid, number=1):
 
 def during_a_run(**options):
     node = Node()
-    node.beat({ACCEPTED: RUN.in_a_beat()})
+    node.beat({ACCEPTED: RUN.to_heartbeat()})
     return node, AcceptedPublishers(node, **options)
 
 
@@ -88,7 +88,7 @@ def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
     assert accepted.values() == {HEARS: accepted_publishers_hash(RUN)}
     node.joined = 0  # who leaves later is lost, which others report
     assert accepted.values() == {HEARS: accepted_publishers_hash(RUN)}
-    node.beat({ACCEPTED: PublisherList({POINTS: (STRAY.hex(),)}).in_a_beat()})
+    node.beat({ACCEPTED: PublisherList({POINTS: (STRAY.hex(),)}).to_heartbeat()})
     assert accepted.values() == {APART: f"{SENT}, {POINTS}"}
 
 

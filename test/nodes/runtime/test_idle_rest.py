@@ -31,7 +31,7 @@ def test_who_lets_messages_gather_is_awake_for_a_part_of_it(
     monkeypatch.setattr(running.time, "monotonic", lambda: now_s)
     monkeypatch.setattr(running.time, "sleep", sleep)
     sim = SimpleNamespace(used=simulated)
-    node = SimpleNamespace(gather_s=lambda: gather_s, health=SimpleNamespace(sim=sim))
+    node = SimpleNamespace(batch_period_s=lambda: gather_s, health=SimpleNamespace(sim=sim))
     rest = running._Rest()
     while now_s < 2.0:  # a turn of the executor, and the rest behind it
         now_s, awake_s = now_s + TURN_S, awake_s + TURN_S
@@ -50,8 +50,8 @@ def test_capture_and_solver_take_their_time_until_the_planner_measures():
         for measures, gather_s in ((False, 0.1), (True, at_work_s)):
             health = SimpleNamespace(is_calibrating=lambda measures=measures: measures)
             node = SimpleNamespace(health=health, _answering=0)
-            node.idle_s = partial(CellNode.idle_s, node)
-            assert kind.gather_s(node) == gather_s
+            node.idle_batch_period_s = partial(CellNode.idle_batch_period_s, node)
+            assert kind.batch_period_s(node) == gather_s
 
 
 def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):

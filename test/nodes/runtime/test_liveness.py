@@ -22,8 +22,8 @@ class Cell:
         for _ in range(round(seconds / TURN_S)):
             self.now_s += TURN_S
             for name in self.beating:
-                self.roll.hear(name, self.now_s)
-            self.told += self.roll.look(self.now_s, self.gone.get)
+                self.roll.receive(name, self.now_s)
+            self.told += self.roll.poll(self.now_s, self.gone.get)
 
 
 def test_who_beats_is_neither_slow_nor_lost():
@@ -82,8 +82,10 @@ def test_who_beats_without_taking_turns_is_slow():
     cell = Cell()
     for turn in range(20):
         cell.now_s += TURN_S
-        cell.roll.hear("a", cell.now_s - TURN_S * turn)  # its executor has stood since the first
-        cell.roll.look(cell.now_s, lambda _: None)
+        cell.roll.receive(
+            "a", cell.now_s - TURN_S * turn
+        )  # its executor has stood since the first
+        cell.roll.poll(cell.now_s, lambda _: None)
     assert cell.roll.slow == {"a": pytest.approx(3.8)}
 
 
@@ -101,7 +103,7 @@ def test_an_overload_is_one_line_at_its_begin_and_one_at_its_end():
         now_s = TURN_S * turn
         slow = {"capture": 1.6, "solver": 2.0 + turn / 1000} if turn % 50 < 10 else {}
         slow = slow if now_s < 600.0 else {}
-        lines += filter(None, [overload.look(slow, now_s, lambda: "load 23.0 on 2 cores")])
+        lines += filter(None, [overload.poll(slow, now_s, lambda: "load 23.0 on 2 cores")])
     assert len(lines) == 2
     assert lines[0] == (
         "waiting for capture (1.6 s), solver (2.0 s): slow, not lost; load 23.0 on 2 cores; it "
@@ -113,7 +115,7 @@ def test_an_overload_is_one_line_at_its_begin_and_one_at_its_end():
 
 def test_an_overload_says_who_is_waited_for_as_long_as_it_is():
     overload = OverloadMonitor()
-    overload.look({"recorder": 3.0}, 0.0, lambda: "load 9.0 on 1 core")
+    overload.poll({"recorder": 3.0}, 0.0, lambda: "load 9.0 on 1 core")
     assert overload.text == "waiting for recorder (3.0 s): slow, not lost; load 9.0 on 1 core"
-    overload.look({}, 1.0, lambda: "")
+    overload.poll({}, 1.0, lambda: "")
     assert overload.text is None

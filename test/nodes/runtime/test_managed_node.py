@@ -98,9 +98,9 @@ def test_a_clean_up_gives_all_back_and_waits_for_what_is_still_ending(node):
     assert node.trigger_cleanup() == SUCCESS
     assert parts(node) == before
     assert (node.trigger_configure(), node.trigger_activate()) == (SUCCESS, SUCCESS)
-    assert not node.over()
+    assert not node.has_ended()
     node.trigger_shutdown()
-    assert node.over()
+    assert node.has_ended()
 
 
 def test_a_clean_up_leaves_a_subscription_that_was_made_anew(node):

@@ -32,7 +32,7 @@ class Node(SimpleNamespace):
         self.offer = handle
 
     def every(self, _period_s, work):
-        self.look = work
+        self.poll = work
 
     def resolve_topic_name(self, topic):
         return f"/cell/{topic}"
@@ -68,10 +68,10 @@ def test_the_planners_plan_is_taken_with_its_beat_whatever_came_before_it_or_beh
         node.offer(message)
     assert taken == []
     node.goal = unique_run_name(OURS)
-    node.look()
+    node.poll()
     assert taken == [OURS]
     clock.now_s += PATIENCE_S + 0.1
-    node.look()
+    node.poll()
     assert taken == [OURS]
     (warning,) = node.warnings
     assert "is not the planner's and was ignored (plan 'stray', published by stranger)" in warning
@@ -96,7 +96,7 @@ def test_a_node_that_has_just_been_started_waits_until_it_knows_the_planner(cloc
     assert taken == []
     node.goal = unique_run_name(OURS)
     node.health.others["planner"] = object()
-    node.look()
+    node.poll()
     assert taken == [OURS]
 
 
@@ -107,7 +107,7 @@ def test_without_a_planner_a_plan_is_taken_after_a_moment(clock):
     node.health.others.clear()
     node.offer(STRAY)
     clock.now_s += PATIENCE_S + 0.1
-    node.look()
+    node.poll()
     assert taken == [STRAY]
 
 
@@ -126,9 +126,9 @@ def test_a_plan_that_cannot_be_taken_is_offered_once_and_keeps_no_other_back(clo
         node.offer(message)
     node.health.others["planner"] = object()
     with pytest.raises(ValueError, match="another version"):
-        node.look()
-    node.look()
-    node.look()
+        node.poll()
+    node.poll()
+    node.poll()
     assert taken == [STRAY, OURS]
 
 
@@ -182,8 +182,8 @@ def test_what_came_in_a_goal_is_left_alone_behind_it_too(clock):
     PlanSubscription(node, taken.append)
     node.offer(STRAY)
     node.goal = ""
-    node.look()
+    node.poll()
     clock.now_s += PATIENCE_S + 0.1
-    node.look()
+    node.poll()
     assert taken == []
     assert "is not the planner's and was ignored (plan 'stray'" in node.warnings[0]

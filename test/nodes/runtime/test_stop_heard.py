@@ -95,7 +95,7 @@ def test_an_error_that_is_over_in_the_same_message_is_kept(heard):
     levels = (DiagnosticStatus.ERROR, DiagnosticStatus.OK)
     status = [DiagnosticStatus(name="plc: drive", level=level, message="I2t") for level in levels]
     node.waiting[DIAGNOSTICS].append(DiagnosticArray(status=status))
-    assert stop.heed() == "plc: drive is in ERROR on /diagnostics (I2t)"
+    assert stop.check_stop() == "plc: drive is in ERROR on /diagnostics (I2t)"
     assert (stop.why, stop.count) == (None, 1)
 
 

@@ -43,7 +43,7 @@ class Node(SimpleNamespace):
         )
 
     def every(self, _period_s, work):
-        self.look = work
+        self.poll = work
 
     def get_logger(self):
         return SimpleNamespace(warning=lambda text, **_: self.warnings.append(text))
@@ -66,29 +66,29 @@ def asked(**how):
 def test_a_recorder_that_is_not_heard_is_waited_for_and_asked_again(clock):
     node, taken = asked(goal=unique_run_name(PLAN))
     clock.now_s += 10 * PATIENCE_S
-    node.look()
+    node.poll()
     assert taken == []
     assert "does not say what was measured earlier" in node.warnings[0]
     node.ready = True
-    node.look()
+    node.poll()
     clock.now_s += PATIENCE_S + 0.1  # the first request got lost
-    node.look()
-    node.look()
+    node.poll()
+    node.poll()
     assert (node.asked, taken) == (2, [])
     before = Step(3, 0, 0.0, Approach.POSITIVE, PointKind.DIRECT, 0, (0.1, 0.2, 0.3)).observed(
         (0.1,)
     )
     node.answer = Recorded("ours", 1, (before,)).to_json()
-    node.look()
+    node.poll()
     assert taken == [{(0, 3): before}]
 
 
 def test_the_beat_of_the_planner_may_come_after_its_plan(clock):
     node, taken = asked()
-    node.look()
+    node.poll()
     node.goal = unique_run_name(PLAN)
     clock.now_s += NO_GOAL_S + 0.1
-    node.look()
+    node.poll()
     assert taken == []
 
 
@@ -102,5 +102,5 @@ def test_a_planner_without_a_goal_did_not_announce_the_plan(clock):
     node, taken = asked()
     assert taken == []
     clock.now_s += NO_GOAL_S + 0.1
-    node.look()
+    node.poll()
     assert taken == [{}]

@@ -28,7 +28,7 @@ class Joint:
         self.now_s += 0.01
         shown = self.angle + self.noise.pop()
         sample = TableSample(round(self.now_s * 1e9), shown, velocity)
-        told = self.watch.hear(sample, self.now_s)
+        told = self.watch.receive(sample, self.now_s)
         if told is not None and not isnan(told.velocity):
             self.told.append((round(told.angle / DEG, 6), told.velocity))
 
@@ -48,8 +48,8 @@ class Joint:
             self.read()
         assert self.now_s > begun
 
-    def complaint(self):
-        return self.watch.complaint(self.now_s)
+    def current_fault(self):
+        return self.watch.current_fault(self.now_s)
 
 
 def test_an_order_that_is_obeyed():
@@ -63,7 +63,7 @@ def test_an_order_that_is_obeyed():
     assert joint.told[-1] == (pytest.approx(30.0, abs=1e-5), pytest.approx(0.0, abs=1e-4))
     assert max(velocity for _, velocity in joint.told) == pytest.approx(10 * DEG, rel=1e-2)
     joint.stay(10.0)
-    assert joint.complaint() is None
+    assert joint.current_fault() is None
 
 
 def test_one_that_stands_there_by_chance_is_not_at_rest_before_it_came_from_the_right_side():
@@ -82,7 +82,7 @@ def test_one_that_stands_there_by_chance_and_is_not_obeyed_is_named():
     assert not joint.watch.arrived()
     joint.stay(2.2)
     assert not joint.watch.arrived()
-    assert "has not moved for 2.2 s since it was sent to 30.0000 deg" in joint.complaint()
+    assert "has not moved for 2.2 s since it was sent to 30.0000 deg" in joint.current_fault()
 
 
 def test_where_nothing_has_to_move_the_feedback_is_told_at_once():
@@ -103,10 +103,10 @@ def test_one_that_does_not_begin():
     joint = Joint(0.0)
     joint.order(30 * DEG)
     joint.stay(1.9)
-    assert joint.complaint() is None
+    assert joint.current_fault() is None
     joint.stay(0.3)
-    assert "has not moved for 2.2 s since it was sent to 30.0000 deg" in joint.complaint()
-    assert "/drive active" in joint.complaint()
+    assert "has not moved for 2.2 s since it was sent to 30.0000 deg" in joint.current_fault()
+    assert "/drive active" in joint.current_fault()
 
 
 def test_one_that_stalls_on_its_way_and_goes_on_later():
@@ -115,17 +115,17 @@ def test_one_that_stalls_on_its_way_and_goes_on_later():
     joint.go(2.0)
     at = joint.angle / DEG
     joint.stay(8.0)
-    assert f"stopped at {at:.4f} deg" in joint.complaint()
-    assert "from where it was sent (30.0000 deg)" in joint.complaint()
+    assert f"stopped at {at:.4f} deg" in joint.current_fault()
+    assert "from where it was sent (30.0000 deg)" in joint.current_fault()
     joint.angle = 30 * DEG
     joint.read()
-    assert joint.complaint() is None
+    assert joint.current_fault() is None
 
 
 def test_silence():
     joint = Joint(0.0)
-    assert joint.watch.complaint(joint.now_s + 1.9) is None
-    assert joint.watch.complaint(joint.now_s + 3.0) == "no feedback of the table for 3.0 s"
+    assert joint.watch.current_fault(joint.now_s + 1.9) is None
+    assert joint.watch.current_fault(joint.now_s + 3.0) == "no feedback of the table for 3.0 s"
 
 
 def test_degrees_are_named():
@@ -133,10 +133,10 @@ def test_degrees_are_named():
     joint.order(30 * DEG)
     joint.angle = 30.0  # the joint went there, and reports it in degrees
     joint.stay(0.3)
-    assert joint.complaint() is None  # a table that passes by proves nothing
+    assert joint.current_fault() is None  # a table that passes by proves nothing
     joint.stay(0.4)
     assert "reports 30 where 0.523599 rad were ordered: its feedback is in degrees" in (
-        joint.complaint()
+        joint.current_fault()
     )
 
 
@@ -144,7 +144,7 @@ def test_an_angle_of_many_turns_before_the_first_order_is_doubted():
     assert "4.8 turns: if these are degrees" in Joint(30.0).watch.doubt()
     assert Joint(-3.9 * pi).watch.doubt() is None
     trusting = JointMonitor(TableAdapterSettings(many_turns=True))
-    trusting.hear(TableSample(1, 30.0, 0.0), 0.0)
+    trusting.receive(TableSample(1, 30.0, 0.0), 0.0)
     assert trusting.doubt() is None
 
 
@@ -168,7 +168,7 @@ def test_old_feedback_says_nothing_of_where_the_joint_is():
 def test_what_is_no_number_is_not_told():
     joint = Joint(nan)
     assert joint.told == []
-    assert joint.complaint() == "the feedback of the table is not a number"
+    assert joint.current_fault() == "the feedback of the table is not a number"
 
 
 def test_who_falls_silent_with_an_order_is_not_blamed_for_standing_still():
@@ -176,7 +176,7 @@ def test_who_falls_silent_with_an_order_is_not_blamed_for_standing_still():
     joint.order(30 * DEG)
     joint.read()  # on its way when the order was sent
     complaints = {
-        joint.watch.complaint(joint.now_s + after_s) for after_s in np.arange(0, 4, 0.001)
+        joint.watch.current_fault(joint.now_s + after_s) for after_s in np.arange(0, 4, 0.001)
     }
     assert None in complaints
     words = {text.partition(" for ")[0] for text in complaints - {None}}

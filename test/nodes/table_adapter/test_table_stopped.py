@@ -68,9 +68,9 @@ class Adapter(TableAdapter):
         self._controller.send(way)
         self._watch.begin(way, self.health.awake.now_s() - ago_s)
 
-    def hear(self, angle_deg, velocity_deg_s=0.0):
+    def receive(self, angle_deg, velocity_deg_s=0.0):
         now_s = self.health.awake.now_s()
-        self._watch.hear(TableSample(1, angle_deg * DEG, velocity_deg_s * DEG), now_s)
+        self._watch.receive(TableSample(1, angle_deg * DEG, velocity_deg_s * DEG), now_s)
 
     def halt(self):
         self._stop.why = "estop"
@@ -85,7 +85,7 @@ def adapter():
 def test_a_joint_under_way_is_braked_and_what_waits_is_forgotten(adapter):
     """At 10 deg/s it brakes with 20 deg/s^2: half a second, 2.5 deg."""
     adapter.order()
-    adapter.hear(30.0, 10.0)
+    adapter.receive(30.0, 10.0)
     adapter._waiting = "an order"
     adapter.halt()
     assert adapter._waiting is None
@@ -100,7 +100,7 @@ def test_a_joint_under_way_is_braked_and_what_waits_is_forgotten(adapter):
 
 
 def test_an_order_to_turn_on_is_refused_with_its_reason(adapter):
-    adapter.hear(0.0)
+    adapter.receive(0.0)
     adapter._controller.heard = lambda: True
     adapter._obey(TableAngle(step=7, angle=1.0, turn_speed=0.5))
     assert adapter._controller.sent == []
@@ -109,7 +109,7 @@ def test_an_order_to_turn_on_is_refused_with_its_reason(adapter):
 
 def test_a_hold_that_the_controller_refuses_is_told(adapter):
     adapter.order()
-    adapter.hear(30.0, 10.0)
+    adapter.receive(30.0, 10.0)
     adapter.halt()
     adapter._controller.said = ControllerReport("/drive rejected the goal of 32.5000 deg")
     assert adapter._wrong() == (
@@ -119,7 +119,7 @@ def test_a_hold_that_the_controller_refuses_is_told(adapter):
 
 def test_a_joint_whose_place_nobody_tells_is_not_sent_anywhere_and_its_way_is_given_up(adapter):
     adapter.order()
-    adapter.hear(float("nan"))
+    adapter.receive(float("nan"))
     adapter.halt()
     assert (len(adapter._controller.sent), adapter._controller.halted) == (1, 1)
     assert adapter.logged == [
@@ -131,16 +131,16 @@ def test_a_joint_whose_place_nobody_tells_is_not_sent_anywhere_and_its_way_is_gi
 def test_a_table_that_this_adapter_does_not_move_is_let_be(adapter, case):
     if case != "no order":
         adapter.order(ago_s=0.0 if case == "deactivated" else 1e4)
-    adapter.hear(0.0)
+    adapter.receive(0.0)
     if case in ("arrived", "moved since"):
-        adapter.hear(45.0)
-        adapter.hear(90.0)
+        adapter.receive(45.0)
+        adapter.receive(90.0)
     if case == "moved since":
-        adapter.hear(60.0, 5.0)  # by hand
+        adapter.receive(60.0, 5.0)  # by hand
     if case == "stopped":
         adapter._watch._moved_s -= 1e4
     if case == "deactivated":
-        adapter.hear(30.0, 10.0)
+        adapter.receive(30.0, 10.0)
         adapter.deactivated()
     ordered = len(adapter._controller.sent)
     adapter._waiting = "an order"

@@ -48,7 +48,7 @@ from rotcal_tables.deviations.settings import (
     DeviationSolverSettings,
 )
 from rotcal_tables.deviations.simulation import SimulatedIndexer
-from rotcal_tables.sheets.deviations import BY_BOTH, which_sign
+from rotcal_tables.sheets.deviations import ACTUAL_MINUS_COMMANDED, ask_sign
 from rotcal_tables.sheets.words import ACTUAL, REVERSED
 
 NAME: Final = "deviations"
@@ -255,9 +255,9 @@ def require_sign(reading: Reading) -> None:
         ACTUAL,
     }
     ours = {f"deviation_{unit}" for unit in UNITS[ANGLE]}.intersection(reading.form_head)
-    if not (stated or ours or ACTUAL in reading.uses or BY_BOTH in reading.remarks):
+    if not (stated or ours or ACTUAL in reading.uses or ACTUAL_MINUS_COMMANDED in reading.remarks):
         row = max(reading.table.rows(), key=lambda row: abs(row.number(DEVIATION)))
-        raise which_sign(row.place, row.number(DEVIATION))
+        raise ask_sign(row.place, row.number(DEVIATION))
 
 
 def _zero(_result: Result) -> tuple[str, ...]:

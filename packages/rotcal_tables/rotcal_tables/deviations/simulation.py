@@ -32,7 +32,7 @@ class SimulatedIndexer(AngleReader):
         super().__init__(settings.reader, settings.noise_seed, READING, start_ns)
         self._table = table
 
-    def seen(self, stamp_ns: int, order: Command) -> Floats:
+    def true_reading(self, stamp_ns: int, order: Command) -> Floats:
         """Return the true deviation, and 0, rad."""
         pose = self._table.poses(np.array([stamp_ns]))[0][0]
         return np.array([wrap_angle(np.arctan2(pose[1, 0], pose[0, 0]) - order.table_angle), 0.0])

@@ -13,12 +13,12 @@ from rotcal_ros.foundation.units import TURN
 
 _NEAR: Final = 0.01
 """Share by which counts of a turn may differ from the slope of a table that shows them."""
-BITS: Final = tuple(str(bits) for bits in range(8, 33))
+COUNTER_BITS: Final = tuple(str(bits) for bits in range(8, 33))
 """Bits of counters that are looked for where counts do not follow the table."""
 _MOST_BITS: Final = 64
 
 
-def slope(angles: Sequence[float], counts: Sequence[float]) -> float:
+def median_counts_per_turn(angles: Sequence[float], counts: Sequence[float]) -> float:
     """Return the counts in a turn by the steps between rows at commanded ``angles`` (rad).
 
     Most steps do not pass the place where a counter wraps, so the median does not see it.
@@ -31,10 +31,10 @@ def slope(angles: Sequence[float], counts: Sequence[float]) -> float:
     return median(steps) if steps else 0.0
 
 
-def of_a_turn(commanded: Sequence[float]) -> tuple[int, ...]:
+def possible_counts_per_turn(commanded: Sequence[float]) -> tuple[int, ...]:
     """Return the counts of a turn that steps through it may mean: with the last one and without.
 
-    >>> of_a_turn([0, 100, 200, 300])
+    >>> possible_counts_per_turn([0, 100, 200, 300])
     (400, 300)
     """
     ordered = sorted({*commanded})
@@ -43,10 +43,10 @@ def of_a_turn(commanded: Sequence[float]) -> tuple[int, ...]:
     return tuple(dict.fromkeys(round(n) for n in (travel + step, travel) if n >= 1.0))
 
 
-def likely(about: float) -> tuple[int, ...]:
+def usual_counts_near(about: float) -> tuple[int, ...]:
     """Return usual counts of a turn near those that a table shows: powers of two, round numbers.
 
-    >>> likely(65493.0), likely(-359880.0)
+    >>> usual_counts_near(65493.0), usual_counts_near(-359880.0)
     ((65536, 65000, 65500), (-360000,))
     """
     size = abs(about)
@@ -58,10 +58,10 @@ def likely(about: float) -> tuple[int, ...]:
     return tuple(n if about > 0.0 else -n for n in fits)
 
 
-def wraps_after(counter: str) -> int:
+def counter_period(counter: str) -> int:
     """Return after how many counts a counter begins anew, stated by its bits or by the counts.
 
-    >>> wraps_after("16"), wraps_after("4000")
+    >>> counter_period("16"), counter_period("4000")
     (65536, 4000)
     """
     number = int(counter) if counter.isdecimal() else 0
@@ -73,8 +73,8 @@ def wraps_after(counter: str) -> int:
     return 1 << number if number <= _MOST_BITS else number
 
 
-def is_counter(cells: Sequence[float], bits: str) -> bool:
+def fits_counter(cells: Sequence[float], bits: str) -> bool:
     """Return whether counts, or means of them, may be of a counter of so many bits."""
-    size = wraps_after(bits)
+    size = counter_period(bits)
     low, high = min(cells), max(cells)
     return high - low < size and -size // 2 <= low and high < size

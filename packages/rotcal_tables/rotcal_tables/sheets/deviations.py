@@ -25,10 +25,15 @@ from rotcal_ros.foundation.table_columns import (
     undecided,
 )
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
-from rotcal_tables.sheets.counters import BITS, is_counter, likely, wraps_after
+from rotcal_tables.sheets.counters import (
+    COUNTER_BITS,
+    counter_period,
+    fits_counter,
+    usual_counts_near,
+)
 from rotcal_tables.sheets.words import ACTUAL, REVERSED, TABLE_ANGLE
 
-NEAR: Final = 0.25
+NEAR_COMMANDED: Final = 0.25
 """Share of the smallest step of commanded angles within which an actual one belongs to it."""
 _OF_A_WRAP: Final = 0.125
 """Share of the counts of a counter within which deviations show that it is this one."""
@@ -40,13 +45,13 @@ _ALL: Final = 0.99
 _DIGITS: Final = 9
 """Digits behind the point of a number that a program has computed."""
 _FRACTION: Final = re.compile(r"[.,](\d+)\D*$")
-BY_BOTH: Final = phrase("deviation = actual - commanded")
-TURNED: Final = phrase("commanded - actual, turned")
+ACTUAL_MINUS_COMMANDED: Final = phrase("deviation = actual - commanded")
+COMMANDED_MINUS_ACTUAL: Final = phrase("commanded - actual, turned")
 _TURN: Final = 360 * UNITS[ANGLE]["deg"]
 
 
 @dataclass(frozen=True)
-class Angles:
+class AngleColumn:
     """A column of angles: its heading ``text``, its ``cells``, and their ``values`` in rad.
 
     ``unit`` is that of the cells, ``size`` what one of it is (rad).
@@ -71,7 +76,7 @@ class Angles:
         size = UNITS[ANGLE]["arcsec"] if sixtieths else self.size
         return size * Decimal(10) ** -digits
 
-    def is_rounder(self, other: Angles) -> bool:
+    def is_rounder(self, other: AngleColumn) -> bool:
         """Return whether the values need fewer digits than others, which have no even step."""
         own, theirs = (max(len(f.rstrip("0")) for f in a.fractions) for a in (self, other))
         values = sorted({*other.values})
@@ -91,10 +96,10 @@ class StatedDeviations:
 
     where: str
     rows: Sequence[int]
-    columns: Mapping[str, Angles]
+    columns: Mapping[str, AngleColumn]
     proposal: Sequence[str]
     step: float
-    others: Sequence[Angles] = ()
+    others: Sequence[AngleColumn] = ()
     settings: SheetSettings = AS_IT_STANDS
 
     def read(self) -> tuple[Sequence[Decimal], str]:
@@ -120,30 +125,30 @@ class StatedDeviations:
             self._require_positions(found, measured, commanded)
             self._require_finer(measured, commanded)
             if stated is None and REVERSED not in columns:
-                return found, BY_BOTH
+                return found, ACTUAL_MINUS_COMMANDED
             return self._agreed(found, measured, commanded, stated or columns[REVERSED])
         if stated:
             if commanded and self.settings.values not in ("deviations", "corrections"):
                 self._require_small(stated, commanded)
             if self.settings.values == "corrections":
-                return [-value for value in stated.values], TURNED
+                return [-value for value in stated.values], COMMANDED_MINUS_ACTUAL
             return stated.values, ""
         return self._of_either_sign(columns[REVERSED])
 
-    def _of_either_sign(self, either: Angles) -> tuple[Sequence[Decimal], str]:
+    def _of_either_sign(self, either: AngleColumn) -> tuple[Sequence[Decimal], str]:
         """Return differences whose sign a person has stated; else raise the question."""
         if REVERSED in self.settings.named() or self.settings.values == "corrections":
-            return [-value for value in either.values], TURNED
+            return [-value for value in either.values], COMMANDED_MINUS_ACTUAL
         if self.settings.values == "deviations":
             return either.values, ""
         k = max(range(len(self.rows)), key=lambda row: abs(either.values[row]))
-        raise which_sign(
+        raise ask_sign(
             f"{self.where}row {self.rows[k]}, {either.text!r}", float(either.values[k]),
             self.proposal,
         )  # fmt: skip
 
     def _differences(
-        self, measured: Angles, commanded: Angles, counter: str, zero: str
+        self, measured: AngleColumn, commanded: AngleColumn, counter: str, zero: str
     ) -> list[Decimal]:
         """Return actual - commanded (rad), less whole turns and what a ``counter`` loses.
 
@@ -152,16 +157,16 @@ class StatedDeviations:
         pairs = list(zip(measured.values, commanded.values, strict=True))
         found = [actual - angle for actual, angle in pairs]
         if counter:
-            period = measured.size * wraps_after(counter)
+            period = measured.size * counter_period(counter)
             for k, ((a, x), (b, y)) in enumerate(pairwise(pairs), start=1):
                 found[k] = found[k - 1] + _wrapped(b - a - _wrapped(y - x), period)
         first = found[0] if zero == "first" else Decimal(0)
         return [_wrapped(each - first) for each in found]
 
-    def _is_beside(self, commanded: Angles, other: Angles) -> bool:
+    def _is_beside(self, commanded: AngleColumn, other: AngleColumn) -> bool:
         pairs = zip(other.values, commanded.values, strict=True)
         off = [abs(_wrapped(actual - angle)) for actual, angle in pairs]
-        return 0 < max(off) <= NEAR * self.step and len({*other.values}) > 1
+        return 0 < max(off) <= NEAR_COMMANDED * self.step and len({*other.values}) > 1
 
     def _asked(
         self, found: str, answers: Mapping[str, str], setting: str = "sheet.columns"
@@ -169,13 +174,13 @@ class StatedDeviations:
         return undecided(f"{self.where}{found}", setting, tuple(answers.items()), self.proposal)
 
     def _require_positions(
-        self, found: Sequence[Decimal], measured: Angles, commanded: Angles
+        self, found: Sequence[Decimal], measured: AngleColumn, commanded: AngleColumn
     ) -> None:
         """Raise a question where measured angles are none of the positions beside them."""
         k = max(range(len(found)), key=lambda row: abs(found[row]))
-        if abs(found[k]) > NEAR * self.step:
+        if abs(found[k]) > NEAR_COMMANDED * self.step:
             ways = {way: off for way, off in self._ways(measured, commanded)
-                    if off <= NEAR * self.step}  # fmt: skip
+                    if off <= NEAR_COMMANDED * self.step}  # fmt: skip
             if self.settings.zero == "table" and (self.settings.counter, "first") in ways:
                 return
             if ways:
@@ -194,7 +199,7 @@ class StatedDeviations:
                 {meaning("deviation", measured.text): f"the deviation at {angle} is {cell}"},
             )
 
-    def _require_finer(self, measured: Angles, commanded: Angles) -> None:
+    def _require_finer(self, measured: AngleColumn, commanded: AngleColumn) -> None:
         """Raise a question where commanded and measured angles seem to stand the other way."""
         sure = measured.unit == COUNTS or TABLE_ANGLE in self.settings.named()
         if not sure and measured.is_rounder(commanded):
@@ -206,22 +211,24 @@ class StatedDeviations:
             )  # fmt: skip
 
     def _ways(
-        self, measured: Angles, commanded: Angles
+        self, measured: AngleColumn, commanded: AngleColumn
     ) -> Iterator[tuple[tuple[str, str], float]]:
         """Yield counter and zero that may be meant, with the largest deviation then (rad)."""
         cells = [float(value / measured.size) for value in measured.values]
         counters = [self.settings.counter]
         if measured.unit == COUNTS and not self.settings.counter:
-            counters += [bits for bits in BITS if is_counter(cells, bits)]
+            counters += [bits for bits in COUNTER_BITS if fits_counter(cells, bits)]
         for counter in counters:
             for zero in (self.settings.zero, "first"):
                 found = self._differences(measured, commanded, counter, zero)
                 off = float(max(map(abs, found)))
-                if not counter or off <= _OF_A_WRAP * wraps_after(counter) * float(measured.size):
+                if not counter or off <= _OF_A_WRAP * counter_period(counter) * float(
+                    measured.size
+                ):
                     yield (counter, zero), off
 
     def _other_way(
-        self, ways: Mapping[tuple[str, str], float], measured: Angles, first: Decimal
+        self, ways: Mapping[tuple[str, str], float], measured: AngleColumn, first: Decimal
     ) -> UndecidedError:
         """Return the question where a counter wraps, or where its zero is."""
         plain = {counter for counter, _ in ways}
@@ -246,7 +253,7 @@ class StatedDeviations:
         )
 
     def _require_counts_of_a_turn(
-        self, found: Sequence[Decimal], measured: Angles, commanded: Angles
+        self, found: Sequence[Decimal], measured: AngleColumn, commanded: AngleColumn
     ) -> None:
         """Raise a question where nothing but a trend over a turn is left: a wrong scale.
 
@@ -262,11 +269,11 @@ class StatedDeviations:
             raise self._asked(
                 f"the deviations grow evenly to {slope * 360.0:.6g} degrees in a turn, as they do "
                 f"where a turn has {about:.9g} counts and not {now}",
-                {str(n): f"{n} counts" for n in likely(about) or [round(about)]},
+                {str(n): f"{n} counts" for n in usual_counts_near(about) or [round(about)]},
                 "sheet.counts_per_turn",
             )
 
-    def _require_small(self, stated: Angles, commanded: Angles) -> None:
+    def _require_small(self, stated: AngleColumn, commanded: AngleColumn) -> None:
         """Raise a question where deviations grow with the angle by 1: they are positions."""
         x, y = ([float(value) for value in each.values] for each in (commanded, stated))
         slope, _ = _trend(x, y)
@@ -280,7 +287,11 @@ class StatedDeviations:
             )
 
     def _agreed(
-        self, found: Sequence[Decimal], measured: Angles, commanded: Angles, beside: Angles
+        self,
+        found: Sequence[Decimal],
+        measured: AngleColumn,
+        commanded: AngleColumn,
+        beside: AngleColumn,
     ) -> tuple[Sequence[Decimal], str]:
         """Return a stated difference that is ``found`` as actual - commanded too; else ask.
 
@@ -309,7 +320,7 @@ class StatedDeviations:
         )
 
 
-def which_sign(place: str, value: float, proposal: Sequence[str] = ()) -> UndecidedError:
+def ask_sign(place: str, value: float, proposal: Sequence[str] = ()) -> UndecidedError:
     """Return the question whether a ``value`` (rad) is a deviation or a correction.
 
     Its answers say what both would do at one angle.

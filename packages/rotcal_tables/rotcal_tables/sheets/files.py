@@ -71,7 +71,7 @@ class Sheet:
     name: str = ""
 
 
-def sheets(path: Path) -> list[Sheet]:
+def read_sheets(path: Path) -> list[Sheet]:
     """Return what the file at ``path`` may hold: a grid per sheet, or per way to read a text.
 
     Raises BagError for a file that cannot be read.

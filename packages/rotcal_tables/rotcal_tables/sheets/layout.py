@@ -26,7 +26,7 @@ from rotcal_ros.foundation.table_columns import (
 from rotcal_ros.foundation.table_reading import Use
 from rotcal_ros.foundation.tables import Header
 from rotcal_tables.sheets.files import Cell, Sheet
-from rotcal_tables.sheets.numerals import parse
+from rotcal_tables.sheets.numerals import parse_measure
 from rotcal_tables.sheets.words import (
     ACTUAL,
     DIRECTION,
@@ -36,19 +36,19 @@ from rotcal_tables.sheets.words import (
     SETTING,
     TABLE_ANGLE,
     Heading,
-    columns_of,
+    heading_columns,
     is_commanded,
-    is_direction,
-    label_of,
-    of_quantity,
+    is_direction_word,
+    parse_label,
     units_of,
+    units_of_quantity,
 )
 
-TEXTS: Final = frozenset({"kind", "tracker_station"})
+TEXT_COLUMNS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
-BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
+POSITION_COLUMNS: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 """What may stand for a position, or beside it."""
-DIFFERENCE: Final = frozenset({ACTUAL, REFERENCE, REVERSED})
+DEVIATION_COLUMNS: Final = frozenset({ACTUAL, REFERENCE, REVERSED})
 """What may stand for a deviation: measured angles, or a difference of another sign."""
 _ARROW: Final = re.compile(r"([↑↓←→↻↺⟳⟲])|[_/]")
 _SIGNED: Final = re.compile(r"(?<!\S)([+-])(?=\d)|(?<=\w)([+-])(?!\S)")
@@ -59,7 +59,7 @@ _LETTER: Final = r"[\s_\-:.]+|(?<=\b[^\W\d_])(?=\d)"
 """What parts words at the head of a matrix, and the letter of X1 from its number."""
 _COARSE: Final = ("deg", "gon", "dms")
 """Units of table angles rather than of deviations."""
-CORNER: Final = re.compile(r"[\\|/]")
+MATRIX_CORNER: Final = re.compile(r"[\\|/]")
 """What stands in the corner of a matrix between the names of its rows and columns."""
 _NO_MEASURE: Final = re.compile(r"[%‰]|\|[^|]+\|")
 """What heads a share, or absolute values, which have lost their sign."""
@@ -108,7 +108,7 @@ class Caption(str):
 
 
 @dataclass(frozen=True, slots=True)
-class Cells:
+class MatrixCells:
     """Cells of a matrix that belong together: ``labels`` by column, and a use per value.
 
     The first label is what tells the columns of the matrix apart.
@@ -135,7 +135,7 @@ class Layout:
     sheet: Sheet
     header: Header
     uses: Mapping[str, Use]
-    matrix: tuple[Cells, ...] = ()
+    matrix: tuple[MatrixCells, ...] = ()
     aside: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     doubled: tuple[str, tuple[Use, ...]] | None = None
@@ -159,7 +159,7 @@ class Layout:
         return not missing, values, -missing, len(self.matrix), -aside, units
 
 
-def best_layout(
+def find_best_layout(
     found: Iterable[Sheet],
     headers: Sequence[Header],
     named: Mapping[str, str],
@@ -191,7 +191,7 @@ def best_layout(
             [
                 line
                 for layout in best.beside.values()
-                for line in side_by_side(layout, layout.uses.values())
+                for line in preview_columns(layout, layout.uses.values())
             ],
         )
     if best.doubled:
@@ -215,19 +215,19 @@ def _rivals(where: str, layout: Layout, name: str, uses: Sequence[Use]) -> Undec
         f"column {name}",
         "sheet.columns",
         [(meaning(name, use.text), use.text) for use in uses],
-        side_by_side(layout, uses),
+        preview_columns(layout, uses),
     )
 
 
-def side_by_side(layout: Layout, uses: Iterable[Use]) -> list[str]:
+def preview_columns(layout: Layout, uses: Iterable[Use]) -> list[str]:
     """Return columns below each other, in the words of the file: first and largest value."""
     lines = []
     for use in uses:
         rows = layout.sheet.rows[layout.first :]
         cells = [cells[use.place] for _, cells in rows if use.place < len(cells)]
-        found = [cell for cell in cells if number_of(cell) is not None]
+        found = [cell for cell in cells if cell_magnitude(cell) is not None]
         if found:
-            largest = max(found, key=lambda cell: abs(number_of(cell) or 0.0))
+            largest = max(found, key=lambda cell: abs(cell_magnitude(cell) or 0.0))
             lines.append(
                 f"column {use.place + 1} {use.text!r}: first {_text(found[0])}, "
                 f"largest {_text(largest)}"
@@ -235,7 +235,7 @@ def side_by_side(layout: Layout, uses: Iterable[Use]) -> list[str]:
     return lines
 
 
-def texts_of(cells: Iterable[Cell]) -> tuple[str, ...]:
+def cell_texts(cells: Iterable[Cell]) -> tuple[str, ...]:
     """Return the cells of a row that are not empty, as texts."""
     return tuple(str(cell) for cell in cells if cell != "")
 
@@ -243,42 +243,42 @@ def texts_of(cells: Iterable[Cell]) -> tuple[str, ...]:
 def _first_words(layout: Layout) -> str:
     """Return what stands above the values of a table, its title among it."""
     rows = layout.sheet.rows[: layout.first]
-    return ", ".join(text for _, cells in rows for text in texts_of(cells))[:_WORDS]
+    return ", ".join(text for _, cells in rows for text in cell_texts(cells))[:_WORDS]
 
 
-def with_numbers(sheets: Iterable[Sheet], named: Collection[str] = ()) -> list[Sheet]:
+def number_columns(sheets: Iterable[Sheet], named: Collection[str] = ()) -> list[Sheet]:
     """Return those sheets that are columns of numbers without names, below #1, #2 and so on.
 
     Texts may stand in other columns than those ``named`` by #1, #2 alone.
     """
     found, places = [], [_place(text) for text in named]
     for sheet in sheets:
-        rows = [row for row in sheet.rows if len(texts_of(row[1])) > 1]  # without titles
+        rows = [row for row in sheet.rows if len(cell_texts(row[1])) > 1]  # without titles
         width = max((len(cells) for _, cells in rows), default=0)
         cells = [cell for _, cells in rows for cell in cells if cell != ""]
-        first = [number_of(cell) for _, row in rows[:1] for cell in row]
+        first = [cell_magnitude(cell) for _, row in rows[:1] for cell in row]
         stated = len(places) > 1 and all(0 <= k < len(first) and first[k] is not None
                                          for k in places)  # fmt: skip
-        if width and (stated or all(number_of(cell) is not None for cell in cells)):
+        if width and (stated or all(cell_magnitude(cell) is not None for cell in cells)):
             head = tuple(f"#{place + 1}" for place in range(width))
             found.append(replace(sheet, rows=((0, head), *rows)))
     return found
 
 
-def upright(sheet: Sheet) -> Sheet:
+def upright_sheet(sheet: Sheet) -> Sheet:
     """Return a sheet whose rows are columns of ours, each with its name in front, turned."""
     rows = [cells for _, cells in sheet.rows]
-    names = [columns_of(Heading.of(_text(cells[0]))) for cells in rows if cells[0]]
-    numbers = [number_of(cell) is not None for cells in rows for cell in cells[1:]]
+    names = [heading_columns(Heading.of(_text(cells[0]))) for cells in rows if cells[0]]
+    numbers = [cell_magnitude(cell) is not None for cells in rows for cell in cells[1:]]
     if not (1 < len(rows) == len(names) and all(names) and len(numbers) > 2 and all(numbers)):
         return sheet
     return replace(sheet, rows=tuple(enumerate(zip(*rows, strict=True), start=1)))
 
 
-def number_of(cell: Cell) -> float | None:
+def cell_magnitude(cell: Cell) -> float | None:
     """Return the size of what stands in a cell, in whatever unit; None for words."""
     for mark in (".", ","):
-        if measure := parse(cell, mark, ANGLE):
+        if measure := parse_measure(cell, mark, ANGLE):
             return float(measure.value)
     return None
 
@@ -299,8 +299,8 @@ def _of_sheet(
     first = next(iter(found.values()), None)
     if first is None:
         return whole
-    head = next(n for n, cells in first.sheet.rows if texts_of(cells) == first.form)
-    form = texts_of(dict(sheet.rows)[head])
+    head = next(n for n, cells in first.sheet.rows if cell_texts(cells) == first.form)
+    form = cell_texts(dict(sheet.rows)[head])
     return replace(first, form=form, beside=found if len(found) > 1 else {})
 
 
@@ -309,7 +309,9 @@ def _apart(sheet: Sheet) -> list[Sheet]:
 
     Rows without numbers, as titles, may go over all of them.
     """
-    rows = [cells for _, cells in sheet.rows if any(number_of(cell) is not None for cell in cells)]
+    rows = [
+        cells for _, cells in sheet.rows if any(cell_magnitude(cell) is not None for cell in cells)
+    ]
     filled = {place for cells in rows for place, cell in enumerate(cells) if cell != ""}
     starts = [p for p in sorted(filled) if p - 1 not in filled]
     ends = [p for p in sorted(filled) if p + 1 not in filled]
@@ -333,7 +335,7 @@ def _of_rows(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) 
             for header in headers:
                 layout = _of_heads(sheet, header, heads, named)
                 if layout and (best is None or layout.rank > best.rank):
-                    best = replace(layout, first=row + below, form=texts_of(sheet.rows[row][1]))
+                    best = replace(layout, first=row + below, form=cell_texts(sheet.rows[row][1]))
     if best is None:
         return None
     return replace(best, length_unit=_stated_unit(sheet, best.first))
@@ -348,7 +350,7 @@ def _above_numbers(sheet: Sheet, first: int, named: Mapping[str, str]) -> bool:
     """Return whether columns that a person named by #1, #2 have a number in a row."""
     cells = dict(enumerate(sheet.rows[first][1])) if first < len(sheet.rows) else {}
     places = [place for text in named.values() if (place := _place(text)) >= 0]
-    return not places or any(number_of(cells.get(place, "")) is not None for place in places)
+    return not places or any(cell_magnitude(cells.get(place, "")) is not None for place in places)
 
 
 def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
@@ -363,12 +365,12 @@ def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
     below = rows[1] if len(rows) > 1 else ()
     second = {place: _text(cell) for place, cell in enumerate(below) if cell != ""}
     more = bool(second) and not (_units_in(below) or _are_symbols(below, texts))
-    numbers = [place for place, cell in enumerate(below) if number_of(cell) is not None]
+    numbers = [place for place, cell in enumerate(below) if cell_magnitude(cell) is not None]
     ways = [text for place, text in second.items() if place not in numbers]
     numbered = heads and len(below) > min(heads) and below[min(heads)] == ""  # runs below ways
     two = heads and more and (numbered or not numbers)
     wider = not numbers and second.keys() - texts.keys()
-    if not (two and (wider or (ways and all(map(is_direction, ways))))):
+    if not (two and (wider or (ways and all(map(is_direction_word, ways))))):
         yield _with_units(heads, texts, rows, 1)
     if two:
         above, joined, both = -1, dict[int, Heading](), dict[int, tuple[str, ...]]()
@@ -424,7 +426,7 @@ def _are_symbols(cells: Sequence[Cell], above: Mapping[int, tuple[str, ...]]) ->
     found = {place: str(cell) for place, cell in enumerate(cells) if cell != ""}
     own = [above.get(place) for place in found]
     return bool(found) and len({*own} - {None}) == len(found) and all(
-        _SYMBOL.fullmatch(text) and not is_direction(text) for text in found.values()
+        _SYMBOL.fullmatch(text) and not is_direction_word(text) for text in found.values()
     )  # fmt: skip
 
 
@@ -445,7 +447,7 @@ def _of_heads(
         meant = [] if place in signed else _meant(head, place, wanted, named)
         name = next((name for name in meant if name not in uses), "")
         measures = wanted[name].quantity if name in wanted else ANGLE
-        use = Use(place, head.text, of_quantity(head.units, measures))
+        use = Use(place, head.text, units_of_quantity(head.units, measures))
         if name:
             uses[name] = use
         elif meant and meant[0] not in (DIRECTION, RUN):
@@ -521,13 +523,13 @@ def _with_roles(
     measured = uses.pop(ACTUAL, None)
     if measured and angle is None and "position" in wanted:
         uses[TABLE_ANGLE] = measured
-    return {name: use for name, use in uses.items() if name not in DIFFERENCE}
+    return {name: use for name, use in uses.items() if name not in DEVIATION_COLUMNS}
 
 
 def _otherwise(column: TableColumn, uses: Mapping[str, Use]) -> bool:
     """Return whether other columns stand for one."""
     if column.name == "deviation":
-        return TABLE_ANGLE in uses and not uses.keys().isdisjoint(DIFFERENCE)
+        return TABLE_ANGLE in uses and not uses.keys().isdisjoint(DEVIATION_COLUMNS)
     return column.name == "position" and TABLE_ANGLE in uses
 
 
@@ -537,8 +539,8 @@ def _meant(
     """Return which of the wanted columns, or of those beside them, a heading means."""
     chosen = [n for n, text in named.items()
               if text == f"#{place + 1}" or folded(text) == folded(head.text)]  # fmt: skip
-    beside = (BESIDE if "position" in wanted else frozenset()) | (
-        DIFFERENCE if wanted.keys() & {"deviation", "position"} else frozenset()
+    beside = (POSITION_COLUMNS if "position" in wanted else frozenset()) | (
+        DEVIATION_COLUMNS if wanted.keys() & {"deviation", "position"} else frozenset()
     )
     if chosen:
         return [name for name in chosen if name in wanted or name in beside]
@@ -550,7 +552,7 @@ def _meant(
         for name, column in wanted.items()
         if folded(name) == folded(head.name) and (not quantities or column.quantity in quantities)
     ]
-    known = [name for name in (*own, *columns_of(head)) if name not in named]
+    known = [name for name in (*own, *heading_columns(head)) if name not in named]
     if "deviation" not in wanted and "target" in known and not head.units:
         known = ["target"]
     if "ball" in known:
@@ -558,7 +560,7 @@ def _meant(
     return [name for name in known if name in wanted or name in beside]
 
 
-def strange_unit(layout: Layout | None) -> tuple[str, str, str] | None:
+def find_unknown_unit(layout: Layout | None) -> tuple[str, str, str] | None:
     """Return heading, unit and quantity of a missing column that has no unit of its quantity."""
     if layout is None:
         return None
@@ -574,18 +576,20 @@ def strange_unit(layout: Layout | None) -> tuple[str, str, str] | None:
 
 
 def _corner(
-    heads: Mapping[int, Heading], wanted: Mapping[str, TableColumn], named: Mapping[str, str]
+    heads: Mapping[int, Heading],
+    wanted: Mapping[str, TableColumn],
+    named: Mapping[str, str],
 ) -> Heading | None:
     """Return what the rows of a matrix are, where its first cell names rows and columns.
 
     As in Target / Angle [deg]; with the unit of the columns' labels if these are angles.
     """
     first = heads[min(heads)]
-    rows, apart, across = CORNER.sub("/", first.name).partition("/")
+    rows, apart, across = MATRIX_CORNER.sub("/", first.name).partition("/")
     names = _meant(Heading(rows, rows.strip()), -1, wanted, named) if apart else []
     if not names:
         return None
-    angles = TABLE_ANGLE in columns_of(Heading(across, across.strip(), first.units))
+    angles = TABLE_ANGLE in heading_columns(Heading(across, across.strip(), first.units))
     return Heading(first.text, names[0], first.units if angles else ())
 
 
@@ -595,7 +599,7 @@ def _matrix(
     columns: Sequence[TableColumn],
     uses: Mapping[str, Use],
     label_units: tuple[str, ...],
-) -> list[Cells]:
+) -> list[MatrixCells]:
     """Return the cells of a matrix: one key and all values are missing, their heads are labels.
 
     A label is any word with a number, the same word for all, or a table angle; a direction may
@@ -603,7 +607,11 @@ def _matrix(
     table angles.
     """
     names = {column.name for column in columns}
-    keys = [column.name for column in missing if not column.quantity and column.name not in TEXTS]
+    keys = [
+        column.name
+        for column in missing
+        if not column.quantity and column.name not in TEXT_COLUMNS
+    ]
     values = [column for column in missing if column.quantity not in ("", TIME)]
     if not keys and "position" in names:
         keys = [DIRECTION if RUN in uses else RUN]
@@ -619,20 +627,22 @@ def _matrix(
         word, labels = _labels(text, keys[0], label_units or head.units, values, head.units)
         if not (name and labels):
             continue
-        units = of_quantity(head.units, kinds[name])
+        units = units_of_quantity(head.units, kinds[name])
         own = () if " " in str(labels.get(TABLE_ANGLE, "")) else units
         if any(quantity_of(unit) != kinds[name] for unit in own):
             continue
         groups, key = words.setdefault(folded(word), {}), tuple(labels.items())
         name = (
-            ACTUAL if name == "deviation" and ACTUAL in columns_of(Heading(word, word)) else name
+            ACTUAL
+            if name == "deviation" and ACTUAL in heading_columns(Heading(word, word))
+            else name
         )
         time = sum(name in found for (other, _), (_, found) in groups.items() if other == key)
         again: dict[str, Cell] = {RUN: float(time)} if keys[0] == RUN and RUN not in labels else {}
         of_label = groups.setdefault((key, time), (labels | again, {}))[1]
         of_label[name] = Use(place, head.text, own)
     found = {
-        word: [Cells(labels, of, Use(-1, next(iter(of.values())).text))
+        word: [MatrixCells(labels, of, Use(-1, next(iter(of.values())).text))
                for labels, of in groups.values() if len(of) == len(values)]
         for word, groups in words.items()
     }  # fmt: skip
@@ -642,17 +652,19 @@ def _matrix(
         if len(cells) > 1 and (uses or all(DIRECTION in each.labels for each in cells))
         and _may_be(keys[0], word)
     }  # fmt: skip
-    known = {w: c for w, c in whole.items() if keys[0] in columns_of(Heading(w, w)) or len(w) < 2}
+    known = {
+        w: c for w, c in whole.items() if keys[0] in heading_columns(Heading(w, w)) or len(w) < 2
+    }
     return next(iter(whole.values())) if len(whole) == 1 else _only(known)
 
 
 def _may_be(key: str, word: str) -> bool:
     """Return whether a word at the head of a matrix may name the key: a run is no setting."""
-    named = {RUN, SETTING}.intersection(columns_of(Heading(word, word)))
+    named = {RUN, SETTING}.intersection(heading_columns(Heading(word, word)))
     return key in named or not named
 
 
-def _only(words: Mapping[str, list[Cells]]) -> list[Cells]:
+def _only(words: Mapping[str, list[MatrixCells]]) -> list[MatrixCells]:
     return next(iter(words.values())) if len(words) == 1 else []
 
 
@@ -660,7 +672,9 @@ def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
     """Return which of the values the head of a matrix's column names, and the label beside it."""
     if len(values) == 1:  # Run 1 up deviation
         parts = head.name.split()
-        left = [part for part in parts if values[0].name not in columns_of(Heading(part, part))]
+        left = [
+            part for part in parts if values[0].name not in heading_columns(Heading(part, part))
+        ]
         label = " ".join(left)
         says = any(map(str.isalpha, label)) and any(map(str.isdigit, label))
         return values[0].name, label if says else head.name
@@ -688,27 +702,27 @@ def _labels(
     spans = [
         slice(i, j)
         for i, j in combinations(range(len(parts) + 1), 2)
-        if is_direction(" ".join(parts[i:j])) and not parts[j - 1][-1:].isdigit()
+        if is_direction_word(" ".join(parts[i:j])) and not parts[j - 1][-1:].isdigit()
     ]
     longest = max(spans, key=lambda span: span.stop - span.start, default=slice(0, 0))
     if spans and all(longest.start <= s.start and s.stop <= longest.stop for s in spans):
         way = {DIRECTION: " ".join(parts[longest])}
         rest = " ".join([*parts[: longest.start], *parts[longest.stop :]])
     bare = rest.rstrip("°").strip()
-    if key == "position" and number_of(bare) is not None:
+    if key == "position" and cell_magnitude(bare) is not None:
         angles = [unit for unit in units if quantity_of(unit) == ANGLE]
         theirs = angles and (values[0].quantity != ANGLE or angles[0] in _COARSE)
         unit = "°" if bare != rest else f" {angles[0]}" if theirs else ""
         small = head_units and head_units[0] not in _COARSE and values[0].quantity == ANGLE
         if unit or ((way or values[0].name == "deviation") and not small):
             return "", {TABLE_ANGLE: f"{bare}{unit}", **way}
-    nothing_else = rest in {"", *_OF_ISO} or "deviation" in columns_of(Heading(rest, rest))
+    nothing_else = rest in {"", *_OF_ISO} or "deviation" in heading_columns(Heading(rest, rest))
     if way and nothing_else and key in (DIRECTION, RUN):
         return rest, way
-    found = label_of(rest)
+    found = parse_label(rest)
     if not found or (key == "position" and values[0].name == "deviation"):
         return "", {}  # positions without angles have no deviations
-    if not way and is_direction(found[0]):  # up1
+    if not way and is_direction_word(found[0]):  # up1
         return "", {key: float(found[1]), DIRECTION: found[0]}
     return found[0], {key: float(found[1]), **way}
 

@@ -14,7 +14,7 @@ from typing import Final
 
 from rotcal_ros.foundation.table_columns import ANGLE, TIME, UNITS, plain, quantity_of
 from rotcal_tables.sheets.files import Cell
-from rotcal_tables.sheets.words import of_quantity, units_of
+from rotcal_tables.sheets.words import units_of, units_of_quantity
 
 _SPACES: Final = " '’"
 _WHOLE: Final = rf"\d{{1,3}}(?:[{_SPACES}]\d{{3}})+|\d+"
@@ -44,13 +44,13 @@ class Measure:
     unit: str = ""
 
 
-def in_si(measure: Measure, unit: str) -> Decimal:
+def to_si(measure: Measure, unit: str) -> Decimal:
     """Return a measure in metres, radians or seconds; ``unit`` holds where the cell has none."""
     used = measure.unit or unit
     return measure.value * UNITS[quantity_of(used)][used]
 
 
-def parse(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
+def parse_measure(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
     """Return the number in a cell whose decimal mark is ``mark``; None if there is none.
 
     For an angle 12°30'15" is a number too, and 12:30:15, which may be a time, has the unit dms;
@@ -67,7 +67,7 @@ def parse(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
     if quantity == TIME and (value := _moment(text)) is not None:
         return Measure(value, "s")
     apart = _MEASURE.fullmatch(text)
-    units = of_quantity(units_of(apart[2]), quantity) if apart and quantity else ()
+    units = units_of_quantity(units_of(apart[2]), quantity) if apart and quantity else ()
     value = _decimal(apart[1], mark) if apart and len(units) == 1 else None
     if value is None or quantity_of(units[0]) != quantity:
         return None

@@ -24,7 +24,7 @@ _LEAST: Final = 3
 """Names that show a pattern."""
 
 
-def with_names_apart(sheet: Sheet, pattern: str) -> Sheet:
+def split_point_names(sheet: Sheet, pattern: str) -> Sheet:
     """Return a sheet with a column for each part of the names; as it is where none has them.
 
     The column of the names is left empty. Raises ConfigurationError for a pattern that is none.
@@ -56,7 +56,7 @@ def with_names_apart(sheet: Sheet, pattern: str) -> Sheet:
     return replace(sheet, rows=tuple(rows))
 
 
-def names_in_question(
+def ask_name_pattern(
     where: str, found: Sequence[Sheet], headers: Sequence[Header]
 ) -> UndecidedError | None:
     """Return the question what the two numbers in names of points are; None: there are none."""

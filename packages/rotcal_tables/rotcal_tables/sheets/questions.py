@@ -22,20 +22,20 @@ from rotcal_ros.foundation.table_reading import Use
 from rotcal_ros.foundation.tables import Header
 from rotcal_tables.sheets.files import Cell, Sheet
 from rotcal_tables.sheets.layout import (
-    BESIDE,
-    CORNER,
+    MATRIX_CORNER,
+    POSITION_COLUMNS,
     Layout,
-    side_by_side,
-    strange_unit,
-    with_numbers,
+    find_unknown_unit,
+    number_columns,
+    preview_columns,
 )
-from rotcal_tables.sheets.numerals import parse
+from rotcal_tables.sheets.numerals import parse_measure
 from rotcal_tables.sheets.words import (
     ACTUAL,
     REVERSED,
     TABLE_ANGLE,
     Heading,
-    answer,
+    column_option,
     known_columns,
 )
 
@@ -47,14 +47,14 @@ _OFFERED: Final = 4
 """Columns of which a message names the option; a page has a button for all."""
 
 
-def require_named(
+def check_named_columns(
     path: Path, headers: Sequence[Header], named: Mapping[str, str], head: Sequence[str]
 ) -> None:
     """Raise ConfigurationError for a column that is not known, BagError for a heading too few."""
     ours = {TableColumn.of(name).name for header in headers for name in header}
-    ours |= BESIDE if "position" in ours else set()
+    ours |= POSITION_COLUMNS if "position" in ours else set()
     ours |= {ACTUAL, REVERSED} if "deviation" in ours else set()
-    there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
+    there = {folded(part) for text in head for part in (text, *MATRIX_CORNER.split(text))}
     for name, text in named.items():
         if name not in ours.union(known_columns()):
             raise ConfigurationError(f"sheet.columns: no column {name!r}{name_hint(name, ours)}")
@@ -65,7 +65,7 @@ def require_named(
             )
 
 
-def require_as_wide_as_its_head(path: Path, layout: Layout) -> None:
+def check_row_width(path: Path, layout: Layout) -> None:
     """Raise BagError for a text whose rows have more numbers than its head has columns.
 
     So it is where commas part both the columns and the digits.
@@ -75,7 +75,7 @@ def require_as_wide_as_its_head(path: Path, layout: Layout) -> None:
     wider = [row for row in below if any(map(is_number, row[1][width:]))]
     if wider and not layout.sheet.name and 2 * len(wider) >= len(below):
         number, cells = wider[0]
-        found = ", ".join(map(text_of, cells[:_OFFERED]))
+        found = ", ".join(map(cell_text, cells[:_OFFERED]))
         raise BagError(
             f"{path}, row {number}: {len(cells)} cells below a head of {width}, {found}: where "
             "numbers have decimal commas, part the columns by semicolons or tabs, or put the "
@@ -83,7 +83,7 @@ def require_as_wide_as_its_head(path: Path, layout: Layout) -> None:
         )
 
 
-def not_understood(
+def unknown_columns_error(
     path: Path,
     headers: Sequence[Header],
     layout: Layout | None,
@@ -98,7 +98,7 @@ def not_understood(
         if sheet
         else None
     )
-    if strange := strange_unit(layout or bare):
+    if strange := find_unknown_unit(layout or bare):
         text, unit, quantity = strange
         return BagError(
             f"{path}: {unit!r} in the heading {text!r} is an unknown unit: known for "
@@ -113,7 +113,7 @@ def not_understood(
     name = TABLE_ANGLE if angles else TableColumn.of(layout.missing[0]).name
     uses = [Use(place, text) for place, text in zip(layout.places, layout.head, strict=True)]
     key = not TableColumn.of(layout.missing[0]).quantity and name != TABLE_ANGLE
-    numbers = [use.text for use in uses if key or side_by_side(layout, [use])]
+    numbers = [use.text for use in uses if key or preview_columns(layout, [use])]
     likely = [text for text in numbers if text in layout.aside]
     if not likely and key and layout.uses and name != "position":
         return BagError(
@@ -129,13 +129,13 @@ def not_understood(
     if len(same) == 1 and name == "deviation" and TABLE_ANGLE not in named:
         # the other may be the commanded one
         ways.append((TABLE_ANGLE, next(iter(same))))
-    advice = [answer(*way) for way in ways]
+    advice = [column_option(*way) for way in ways]
     runs = "; of runs, write the number and the direction at each head, as Run 1 up"
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
         f"'{','.join(layout.header)}', in any unit and order. State a column with another name by "
         f"{' or '.join(advice)}{runs if name == 'deviation' and len(likely) > _PAIR else ''}",
-        "\n".join(side_by_side(layout, uses)),
+        "\n".join(preview_columns(layout, uses)),
         _which_column(ways if len(ways) > len(likely) else means),
     )
 
@@ -168,7 +168,7 @@ def _no_names(
     uses = [Use(place, head.text, head.units) for place, head in heads.items()]
     return BagError(
         f"{found}say what they are, for instance by {option('sheet.columns', *columns)}",
-        "\n".join(side_by_side(layout, uses)),
+        "\n".join(preview_columns(layout, uses)),
         question,
     )
 
@@ -179,7 +179,7 @@ def _which_column(means: Sequence[tuple[str, str]]) -> Question | None:
     return Question("sheet.columns", answers) if answers else None
 
 
-def likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
+def guess_heading_row(grids: Sequence[Sheet]) -> Sequence[str]:
     """Return the longest row of words that stands over a row of numbers."""
     return list(_likely_row(grids)[1].values())
 
@@ -192,12 +192,14 @@ def _likely_row(grids: Sequence[Sheet]) -> tuple[Sheet | None, dict[int, str]]:
         for (_, cells), (_, below) in pairwise(sheet.rows[:_LOOKED_AT])
         if not any(map(is_number, cells)) and sum(map(is_number, below)) > 1
     ]
-    bare = [(sheet, dict(enumerate(map(str, sheet.rows[0][1])))) for sheet in with_numbers(grids)]
+    bare = [
+        (sheet, dict(enumerate(map(str, sheet.rows[0][1])))) for sheet in number_columns(grids)
+    ]
     several = [row for row in rows if len(row[1]) > 1]
     return max(several or bare or rows, key=lambda row: len(row[1]), default=(None, {}))
 
 
-def text_of(cell: Cell) -> str:
+def cell_text(cell: Cell) -> str:
     """Return a cell as text; a whole number of a workbook without its point."""
     if isinstance(cell, str):
         return cell
@@ -206,4 +208,4 @@ def text_of(cell: Cell) -> str:
 
 def is_number(cell: Cell) -> bool:
     """Return whether a number stands in a cell, with a decimal point or comma."""
-    return any(parse(cell, mark) for mark in (".", ","))
+    return any(parse_measure(cell, mark) for mark in (".", ","))

@@ -42,29 +42,39 @@ from rotcal_ros.foundation.table_columns import (
 from rotcal_ros.foundation.table_reading import Known, Pass, Reading, Use, as_planned
 from rotcal_ros.foundation.tables import Header, Table
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_tables.sheets.counters import likely, of_a_turn, slope
-from rotcal_tables.sheets.deviations import NEAR, Angles, StatedDeviations
-from rotcal_tables.sheets.files import Cell, Sheet, TimeCell, sheets
-from rotcal_tables.sheets.layout import (
-    TEXTS,
-    Layout,
-    best_layout,
-    number_of,
-    side_by_side,
-    texts_of,
-    upright,
-    with_numbers,
+from rotcal_tables.sheets.counters import (
+    median_counts_per_turn,
+    possible_counts_per_turn,
+    usual_counts_near,
 )
-from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_tables.sheets.passes import Halt, closed, directed, is_repeated, passes
-from rotcal_tables.sheets.point_names import names_in_question, with_names_apart
+from rotcal_tables.sheets.deviations import NEAR_COMMANDED, AngleColumn, StatedDeviations
+from rotcal_tables.sheets.files import Cell, Sheet, TimeCell, read_sheets
+from rotcal_tables.sheets.layout import (
+    TEXT_COLUMNS,
+    Layout,
+    cell_magnitude,
+    cell_texts,
+    find_best_layout,
+    number_columns,
+    preview_columns,
+    upright_sheet,
+)
+from rotcal_tables.sheets.numerals import Measure, decimal_marks, parse_measure, to_si
+from rotcal_tables.sheets.passes import (
+    TableStop,
+    assign_passes,
+    close_full_turns,
+    has_repeated_angles,
+    resolve_directions,
+)
+from rotcal_tables.sheets.point_names import ask_name_pattern, split_point_names
 from rotcal_tables.sheets.questions import (
+    cell_text,
+    check_named_columns,
+    check_row_width,
+    guess_heading_row,
     is_number,
-    likely_head,
-    not_understood,
-    require_as_wide_as_its_head,
-    require_named,
-    text_of,
+    unknown_columns_error,
 )
 from rotcal_tables.sheets.words import (
     ACTUAL,
@@ -74,12 +84,12 @@ from rotcal_tables.sheets.words import (
     RUN,
     TABLE_ANGLE,
     Heading,
-    columns_of,
-    is_down,
-    is_nothing,
-    is_summary,
-    kind_of,
-    label_of,
+    heading_columns,
+    is_blank_word,
+    is_descending,
+    is_summary_word,
+    parse_label,
+    point_kind,
     units_of,
 )
 
@@ -110,7 +120,7 @@ _SAME_ANGLE: Final = 1e-9
 """Radians by which two readings of the same angle may differ."""
 
 
-class AnyForm:
+class AnyFormReader:
     """Reads tables of numbers in any form, see :class:`~rotcal_ros.foundation.table_reading`."""
 
     def read(
@@ -124,40 +134,42 @@ class AnyForm:
         if isinstance(source, Table):
             path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
         else:
-            path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
+            path, found = source, [g for g in read_sheets(source) if settings.name in ("", g.name)]
         if not found:
-            names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
+            names = [grid.name for grid in read_sheets(path) if grid.name] or ["a text has none"]
             raise ConfigurationError(
                 f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
                 f"{', '.join(names)}"
             )
         named, raw = settings.named(), found
         if settings.names:
-            found = [with_names_apart(grid, settings.names) for grid in raw]
+            found = [split_point_names(grid, settings.names) for grid in raw]
         if any(text.startswith("#") for text in named.values()):
-            found = with_numbers(found, named.values()) or found
-        found = list(map(upright, found))
-        layout = best_layout(found, headers, named, str(path), settings.table)
-        require_named(path, headers, named, layout.head if layout else likely_head(found))
+            found = number_columns(found, named.values()) or found
+        found = list(map(upright_sheet, found))
+        layout = find_best_layout(found, headers, named, str(path), settings.table)
+        check_named_columns(
+            path, headers, named, layout.head if layout else guess_heading_row(found)
+        )
         if layout is None or layout.missing:
-            asked = None if settings.names else names_in_question(str(path), raw, headers)
+            asked = None if settings.names else ask_name_pattern(str(path), raw, headers)
             if asked and _is_whole_by_names(asked, raw, headers, named):
                 raise asked
-            raise not_understood(path, headers, layout, found, named)
-        require_as_wide_as_its_head(path, layout)
+            raise unknown_columns_error(path, headers, layout, found, named)
+        check_row_width(path, layout)
         if settings.names:  # a table is known by its head as it stands in the file
-            at = next((n for n, cells in layout.sheet.rows if texts_of(cells) == layout.form), 0)
+            at = next((n for n, cells in layout.sheet.rows if cell_texts(cells) == layout.form), 0)
             as_read = next((g for g in raw if g.form == layout.sheet.form), raw[0])
-            layout = replace(layout, form=texts_of(dict(as_read.rows).get(at, ())))
+            layout = replace(layout, form=cell_texts(dict(as_read.rows).get(at, ())))
         return _Rows(path, layout, settings, known()).read()
 
-    def heads(self, path: Path) -> Iterator[tuple[str, ...]]:
+    def heading_rows(self, path: Path) -> Iterator[tuple[str, ...]]:
         """Yield the first rows of all sheets, or of all ways to part the columns of a text."""
-        for grid in sheets(path):
-            yield from (texts_of(cells) for _, cells in grid.rows[:_LOOKED_AT])
+        for grid in read_sheets(path):
+            yield from (cell_texts(cells) for _, cells in grid.rows[:_LOOKED_AT])
 
 
-READER: Final = AnyForm()
+READER: Final = AnyFormReader()
 
 
 class _Rows:
@@ -220,7 +232,7 @@ class _Rows:
         """Raise DataError where a column of units states several: it says of which number."""
         rows = dict(self._layout.sheet.rows)
         for text, place in zip(self._layout.head, self._layout.places, strict=True):
-            cells = [text_of((*rows[row], *[""] * (place + 1))[place]) for row in kept]
+            cells = [cell_text((*rows[row], *[""] * (place + 1))[place]) for row in kept]
             units = dict.fromkeys(units_of(cell) for cell in cells if cell)
             if text in self._layout.aside and len(units) > 1 and all(units):
                 several = ", ".join(dict.fromkeys(cells))
@@ -258,17 +270,17 @@ class _Rows:
         if tuple(map(str, texts)) == self._layout.head:
             return phrase("the head of the table again")
         first = next((cell for cell in texts if isinstance(cell, str)), "")
-        if first and first is texts[0] and is_summary(first):
+        if first and first is texts[0] and is_summary_word(first):
             return phrase("a line about others ({0})", first)
         if len(texts) == 1 and not is_number(texts[0]):
             if str(texts[0])[:1].isdigit():
                 return phrase("one cell alone ({0})", str(texts[0])[:40])
             return phrase("a line of text ({0})", str(texts[0])[:40])
-        if self._of_runs() and label_of(text_of(cells[self._layout.uses[RUN].place])) is None:
-            return phrase("no run ({0})", text_of(cells[self._layout.uses[RUN].place])[:40])
+        if self._of_runs() and parse_label(cell_text(cells[self._layout.uses[RUN].place])) is None:
+            return phrase("no run ({0})", cell_text(cells[self._layout.uses[RUN].place])[:40])
         angle = self._layout.uses.get(TABLE_ANGLE)
-        at = text_of(cells[angle.place]) if angle else ""
-        if not (is_nothing(at) or any(map(str.isdigit, at))):
+        at = cell_text(cells[angle.place]) if angle else ""
+        if not (is_blank_word(at) or any(map(str.isdigit, at))):
             return phrase("a line about others ({0})", at[:40])
         values = {c.name for c in self._columns if c.quantity not in ("", TIME)} | {ACTUAL}
         uses = self._layout.uses.items()
@@ -346,10 +358,10 @@ class _Rows:
         cells = [(number, *row[name]) for number, row in rows]
         if column.quantity:
             return [self._in_si(place, name, column.quantity, mark) for place in cells]
-        if name in TEXTS:
-            return [kind_of(text_of(c)) if name == "kind" else text_of(c)
+        if name in TEXT_COLUMNS:
+            return [point_kind(cell_text(c)) if name == "kind" else cell_text(c)
                     for _, c, _ in cells]  # fmt: skip
-        numbers = self._numbers(name, [(number, text_of(cell)) for number, cell, _ in cells])
+        numbers = self._numbers(name, [(number, cell_text(cell)) for number, cell, _ in cells])
         if name == "position":
             numbers = self._in_passes(rows, numbers)
         if name == "position" and TABLE_ANGLE in rows[0][1]:
@@ -381,7 +393,11 @@ class _Rows:
 
     def _near(self, planned: Sequence[float]) -> float:
         """Return by how much (rad) a table angle may be off a planned one that stands for it."""
-        return NEAR * _smallest_step(planned) if self._settings.angles == "plan" else READ_OUT
+        return (
+            NEAR_COMMANDED * _smallest_step(planned)
+            if self._settings.angles == "plan"
+            else READ_OUT
+        )
 
     def _other_angles(self, row: int, angle: float, planned: float, what: str = "") -> DataError:
         """Return the question whether the angles of the table count, or those of the plan."""
@@ -409,7 +425,7 @@ class _Rows:
             f"{self._path}: ",
             [number for number, _ in rows],
             columns,
-            side_by_side(self._layout, [*self._all_uses(), *self._layout.others][:_SHOWN]),
+            preview_columns(self._layout, [*self._all_uses(), *self._layout.others][:_SHOWN]),
             _smallest_step([float(angle) for angle in commanded]) if commanded else 2.0 * pi,
             self._others(rows, mark) if "deviation" not in self._settings.named() else (),
             self._settings,
@@ -417,7 +433,7 @@ class _Rows:
         self._remarks += [remark] if remark else []
         return list(map(str, found))
 
-    def _others(self, rows: Sequence[_Row], mark: str) -> list[Angles]:
+    def _others(self, rows: Sequence[_Row], mark: str) -> list[AngleColumn]:
         """Return the columns of angles with names of no meaning to us, where all are numbers."""
         cells = dict(self._layout.sheet.rows)
         beside = [
@@ -427,25 +443,26 @@ class _Rows:
         return [
             self._angles("", column, mark)
             for column in beside
-            if len(column) == len(rows) and all(parse(c[""][0], mark, ANGLE) for _, c in column)
+            if len(column) == len(rows)
+            and all(parse_measure(c[""][0], mark, ANGLE) for _, c in column)
         ]
 
-    def _angles(self, name: str, rows: Sequence[_Row], mark: str) -> Angles:
+    def _angles(self, name: str, rows: Sequence[_Row], mark: str) -> AngleColumn:
         """Return a column of angles in rad."""
         use = rows[0][1][name][1]
-        cells = [text_of(row[name][0]) for _, row in rows]
+        cells = [cell_text(row[name][0]) for _, row in rows]
         values = [Decimal(self._in_si((n, *row[name]), name, ANGLE, mark)) for n, row in rows]
         unit = use.units[0] if len(use.units) == 1 else self._unit_elsewhere(use, ANGLE, name)
         size = UNITS[ANGLE][unit or "deg"] / (self._counts(name, use) if unit == COUNTS else 1)
-        return Angles(use.text, cells, values, unit or "deg", abs(size))
+        return AngleColumn(use.text, cells, values, unit or "deg", abs(size))
 
     def _in_si(self, cell: tuple[int, Cell, Use], name: str, quantity: str, mark: str) -> str:
         number, value, use = cell
-        measure = parse(value, mark, quantity)
+        measure = parse_measure(value, mark, quantity)
         if measure is None:
             raise DataError(
                 f"{self._path}, row {number}: {_OURS.get(name, name)} must be a number, found "
-                f"{text_of(value)!r}: correct it, or empty the cell where nothing was measured"
+                f"{cell_text(value)!r}: correct it, or empty the cell where nothing was measured"
             )
         if {"dms", "m:s"} & {measure.unit, *use.units}:
             measure = self._sixtieths(number, value, measure, use, name)
@@ -455,7 +472,7 @@ class _Rows:
                 f"{self._path}: {use.text!r} is in {unit}, of {of} and not of {quantity}: it is "
                 f"no {_OURS.get(name, name)}; state another column, as --set sheet.columns=..."
             )
-        found = in_si(measure, unit)
+        found = to_si(measure, unit)
         if unit != COUNTS:
             return str(found)
         counts = self._counts(name, use)  # below 0 where they go against the table
@@ -469,20 +486,20 @@ class _Rows:
             return stated
         rows, mark = self._seen
         own = [float(m.value) for _, row in rows if name in row
-               and (m := parse(row[name][0], mark, ANGLE))]  # fmt: skip
+               and (m := parse_measure(row[name][0], mark, ANGLE))]  # fmt: skip
         shown, about = "", 0.0
         angle = None if commanded else rows[0][1].get(TABLE_ANGLE)
         if angle and (settings.commanded_counts or not self._in_counts(TABLE_ANGLE, angle[1])):
-            about = slope([self._angle(row, mark) for row in rows], own)
+            about = median_counts_per_turn([self._angle(row, mark) for row in rows], own)
             shown = f"; beside the table angles it is about {about:.6g}"
-        found = likely(about) if about else of_a_turn(own) if own else ()
+        found = usual_counts_near(about) if about else possible_counts_per_turn(own) if own else ()
         raise undecided(
             f"{self._path}: {use.text!r} is in counts, and how many make a turn of the table is "
             f"not stated{shown}",
             "sheet.counts_per_turn",
             [(str(n), f"{abs(n)} counts{' against the table' * (n < 0)}") for n in found]
             or [("N", "the counts of a turn, as the encoder's sheet states them")],
-            side_by_side(self._layout, [use]),
+            preview_columns(self._layout, [use]),
         )
 
     def _in_counts(self, name: str, use: Use) -> bool:
@@ -497,26 +514,26 @@ class _Rows:
         stated = self._unit_elsewhere(use, ANGLE, name)
         units = {stated} if stated in ("dms", "m:s") else {*use.units, stated} - {""}
         of_time = isinstance(value, TimeCell)
-        pair = not of_time and len(re.split(r"[:\s]+", text_of(value).strip())) == 2
+        pair = not of_time and len(re.split(r"[:\s]+", cell_text(value).strip())) == 2
         shifted = Measure(measure.value, "m:s")  # all by one place
         if measure.unit == "dms":
             if "m:s" in units and (pair or (of_time and stated)):
                 return shifted
-            plainly = not of_time or (measure.value < 1 and not text_of(value).endswith(":00"))
+            plainly = not of_time or (measure.value < 1 and not cell_text(value).endswith(":00"))
             sure = not of_time and units <= {"deg", "gon"} and not stated and (units or not pair)
             if "dms" in units or ("m:s" in units and plainly) or sure:
                 return measure
             meant = "a time of day, or degrees, minutes and seconds"
             ways = [("dms", measure)] + [("m:s", shifted)] * (pair or of_time)
-            answers = [(unit, f"{text_of(value)} = {float(in_si(m, 'dms')) / ARCSEC:.6g} arcsec")
+            answers = [(unit, f"{cell_text(value)} = {float(to_si(m, 'dms')) / ARCSEC:.6g} arcsec")
                        for unit, m in ways]  # fmt: skip
         elif measure.unit or stated or measure.value == int(measure.value):
             return measure
         else:
             meant = "no degrees, minutes and seconds"
-            answers = [(unit, f"{text_of(value)} {unit}") for unit in _SMALL]
+            answers = [(unit, f"{cell_text(value)} {unit}") for unit in _SMALL]
         raise undecided(
-            f"{self._path}, row {row}: {use.text!r} is {text_of(value)}, {meant}",
+            f"{self._path}, row {row}: {use.text!r} is {cell_text(value)}, {meant}",
             unit_setting(name, ANGLE),
             answers,
         )
@@ -530,7 +547,7 @@ class _Rows:
             return stated
         rows = self._layout.sheet.rows[self._layout.first :]
         cells = [cells[use.place] for _, cells in rows if 0 <= use.place < len(cells)]
-        numbers = [n for n in map(number_of, cells or [value]) if n is not None]
+        numbers = [n for n in map(cell_magnitude, cells or [value]) if n is not None]
         largest = Measure(Decimal(repr(max(numbers, key=abs, default=0.0))))
         usual = _SMALL if name in SMALL_ANGLES else _USUAL.get(quantity, tuple(UNITS[quantity]))
         if quantity == ANGLE and name not in SMALL_ANGLES and largest.value > _NO_ANGLE:
@@ -539,7 +556,7 @@ class _Rows:
             (
                 u,
                 f"{float(largest.value):.9g} {u}"
-                + ("" if u == COUNTS else f" = {float(in_si(largest, u)):.6g} {_si(quantity)}"),
+                + ("" if u == COUNTS else f" = {float(to_si(largest, u)):.6g} {_si(quantity)}"),
             )
             for u in use.units or usual
         )
@@ -549,7 +566,7 @@ class _Rows:
             f"{self._path}: the column {use.text!r} ({_OURS.get(name, name)}) states no unit: its "
             f"largest value can be {', '.join(words for _, words in read)}",
             f"say which: {ways} (or write it behind the name, as '{use.text} [{usual[0]}]')",
-            "\n".join(side_by_side(self._layout, [use])),
+            "\n".join(preview_columns(self._layout, [use])),
             Question(setting, read),
         )
 
@@ -560,30 +577,30 @@ class _Rows:
         """
         known = self._known.get("position", Known())
         at = [k for k, (_, row) in enumerate(rows) if not _is_nest(row)]
-        halts = closed([self._halt(*rows[k], self._angle(rows[k], mark)) for k in at])
-        angles = _distinct(known.angles) if known.angles else self._own_angles(halts)
+        stops = close_full_turns([self._stop(*rows[k], self._angle(rows[k], mark)) for k in at])
+        angles = _distinct(known.angles) if known.angles else self._own_angles(stops)
         if not known.angles:
             self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in angles)
         planned = known.angles or self._settings.angles == "plan"
         near = self._near(angles) if planned else READ_OUT
-        halts = [replace(halt, number=self._nearest(halt, angles, near)) for halt in halts]
-        off = max((abs(remainder(h.angle - angles[h.number], 2 * pi)) for h in halts), default=0.0)
+        stops = [replace(stop, number=self._nearest(stop, angles, near)) for stop in stops]
+        off = max((abs(remainder(h.angle - angles[h.number], 2 * pi)) for h in stops), default=0.0)
         if off > _SAME_ANGLE:
             self._remarks.append(
                 phrase("table angles are off by up to {0} degrees", f"{off / DEGREE:.2g}")
             )
-        found = self._visits(halts, angles, known)
+        found = self._visits(stops, angles, known)
         self._remarks.append(phrase("positions by their angles"))
         numbers = dict(zip(at, found, strict=True))
         return [str(numbers.get(k, "")) for k in range(len(rows))]
 
-    def _own_angles(self, halts: Sequence[Halt]) -> tuple[float, ...]:
+    def _own_angles(self, stops: Sequence[TableStop]) -> tuple[float, ...]:
         """Return the different angles of a table that no plan knows, ascending (rad).
 
         Some that are apart by more than the noise of a read-out, and far from all others, may be
         one: it is asked, unless ``sheet.angles`` says table, or plan for one.
         """
-        read = [halt.angle for halt in halts]
+        read = [stop.angle for stop in stops]
         angles, fewer = _distinct(read, READ_OUT), _distinct(read, _CLOSE * READ_OUT)
         alone = _smallest_step(fewer) > _CLOSE**2 * READ_OUT
         if len(fewer) == len(angles) or not alone or self._settings.angles == "table":
@@ -591,7 +608,7 @@ class _Rows:
         if self._settings.angles == "plan":
             return fewer
         first, second = next((a, b) for a, b in pairwise(angles) if b - a <= _CLOSE * READ_OUT)
-        row = next(halt.row for halt in halts if halt.angle == second)
+        row = next(stop.row for stop in stops if stop.angle == second)
         off = f"{first / DEGREE:.6g} and {second / DEGREE:.6g} degrees"
         raise undecided(
             f"{self._path}, row {row}: the table angles {off} differ by more than the noise of a "
@@ -612,73 +629,73 @@ class _Rows:
         angles = _distinct(known.angles)
         if not (beside and all(numbers) and max(map(int, numbers)) < len(angles)):
             return numbers
-        halts = [
-            self._halt(*row, known.angles[int(n)]) for row, n in zip(rows, numbers, strict=True)
+        stops = [
+            self._stop(*row, known.angles[int(n)]) for row, n in zip(rows, numbers, strict=True)
         ]
-        halts = [replace(halt, number=self._nearest(halt, angles, pi)) for halt in halts]
-        return [str(position) for position in self._visits(halts, angles, known)]
+        stops = [replace(stop, number=self._nearest(stop, angles, pi)) for stop in stops]
+        return [str(position) for position in self._visits(stops, angles, known)]
 
     def _angle(self, row: _Row, mark: str) -> float:
         number, cells = row
         return float(self._in_si((number, *cells[TABLE_ANGLE]), TABLE_ANGLE, ANGLE, mark))
 
-    def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> Halt:
+    def _stop(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> TableStop:
         """Return that the table stood at ``angle`` (rad) for a row; its number is open yet."""
         keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
-        texts = {name: text_of(cell) for name, (cell, _) in row.items()}
+        texts = {name: cell_text(cell) for name, (cell, _) in row.items()}
         way = texts.get(DIRECTION, "")
-        down = is_down(way)
+        down = is_descending(way)
         what = tuple(folded(texts[name]) for name in keys)
         run = texts.get(RUN, "")
-        return Halt(number, angle, 0, what, run, down, way if down is None else "")
+        return TableStop(number, angle, 0, what, run, down, way if down is None else "")
 
-    def _nearest(self, halt: Halt, angles: Sequence[float], near: float) -> int:
-        """Return which of the angles a halt is at, the one of its own turn if there are several.
+    def _nearest(self, stop: TableStop, angles: Sequence[float], near: float) -> int:
+        """Return which of the angles a stop is at, the one of its own turn if there are several.
 
         Raises DataError where it is farther than ``near`` from all.
         """
-        off = [abs(remainder(halt.angle - other, 2.0 * pi)) for other in angles]
-        best = min(range(len(off)), key=lambda k: (off[k] > near, abs(halt.angle - angles[k])))
+        off = [abs(remainder(stop.angle - other, 2.0 * pi)) for other in angles]
+        best = min(range(len(off)), key=lambda k: (off[k] > near, abs(stop.angle - angles[k])))
         if off[best] > near:
             nearest = angles[min(range(len(off)), key=off.__getitem__)]
-            raise self._other_angles(halt.row, halt.angle, nearest)
+            raise self._other_angles(stop.row, stop.angle, nearest)
         return best
 
     def _visits(
-        self, halts: Sequence[Halt], angles: Sequence[float], known: Known
+        self, stops: Sequence[TableStop], angles: Sequence[float], known: Known
     ) -> Sequence[int]:
-        """Return the position of each halt at ``angles``: by its pass, where a plan comes again.
+        """Return the position of each stop at ``angles``: by its pass, where a plan comes again.
 
         Rows in the order of the plan are its steps. Without a plan a position is the number of its
         angle, and the passes are noted.
         """
         if not known.angles:
-            if is_repeated(halts):
-                self._require_one_kind(halts)
-                self._passes(halts)
-            return [halt.number for halt in halts]
+            if has_repeated_angles(stops):
+                self._require_one_kind(stops)
+                self._passes(stops)
+            return [stop.number for stop in stops]
         numbers = [min(range(len(angles)), key=lambda k: abs(angles[k] - angle))
                    for angle in known.angles]  # fmt: skip
-        if [numbers[position] for position in known.order] == [halt.number for halt in halts]:
+        if [numbers[position] for position in known.order] == [stop.number for stop in stops]:
             return known.order
         if len(numbers) == len(angles):
-            return [numbers.index(halt.number) for halt in halts]
+            return [numbers.index(stop.number) for stop in stops]
         positions, runs = dict[tuple[int, int, bool], int](), Counter[tuple[int, bool]]()
         for position, number in enumerate(numbers):
             down = position in known.downward
             positions[number, runs[number, down], down] = position
             runs[number, down] += 1
-        found = self._passes(halts, both=bool(known.downward))
+        found = self._passes(stops, both=bool(known.downward))
         if self._both_directions and not known.downward:
             raise DataError(
                 f"{self._path}: the table goes up and down through its angles, the plan up only: "
                 "set plan.bidirectional=true"
             )
-        ways = [(halt.number, run, down and bool(known.downward))
-                for halt, (run, down) in zip(halts, found, strict=True)]  # fmt: skip
+        ways = [(stop.number, run, down and bool(known.downward))
+                for stop, (run, down) in zip(stops, found, strict=True)]  # fmt: skip
         return [positions.get(way, positions[way[0], 0, way[2]]) for way in ways]
 
-    def _require_one_kind(self, halts: Sequence[Halt]) -> None:
+    def _require_one_kind(self, stops: Sequence[TableStop]) -> None:
         """Raise a question where words of no known column part what was measured at one angle.
 
         They may be those of several axes, or of a reading that its program holds for bad.
@@ -686,10 +703,10 @@ class _Rows:
         rows, aside = dict(self._layout.sheet.rows), {*self._layout.aside}
         for text, place in zip(self._layout.head, self._layout.places, strict=True):
             kinds = dict[tuple[object, ...], dict[str, int]]()
-            for halt in halts if text in aside else ():
-                cell = text_of((*rows[halt.row], *[""] * (place + 1))[place])
+            for stop in stops if text in aside else ():
+                cell = cell_text((*rows[stop.row], *[""] * (place + 1))[place])
                 if cell and not is_number(cell):
-                    kinds.setdefault((halt.what, halt.number), {}).setdefault(cell, halt.row)
+                    kinds.setdefault((stop.what, stop.number), {}).setdefault(cell, stop.row)
             words = dict.fromkeys(word for at in kinds.values() for word in at)
             parted = next((at for at in kinds.values() if len(at) > 1), {})
             if parted and len(words) <= _KINDS and NOTHING not in self._settings.named():
@@ -704,10 +721,10 @@ class _Rows:
                     ],
                 )
 
-    def _passes(self, halts: Sequence[Halt], *, both: bool = False) -> list[Pass]:
-        """Return the passes of the halts, and note how many runs they are."""
-        halts = directed(halts, self._settings.up, str(self._path))
-        found = passes(halts, str(self._path), both=both)
+    def _passes(self, stops: Sequence[TableStop], *, both: bool = False) -> list[Pass]:
+        """Return the passes of the stops, and note how many runs they are."""
+        stops = resolve_directions(stops, self._settings.up, str(self._path))
+        found = assign_passes(stops, str(self._path), both=both)
         self._found = tuple(found)
         runs = self._runs = 1 + max(run for run, _ in found)
         ways = self._both_directions = len({down for _, down in found}) == 2
@@ -733,7 +750,7 @@ class _Rows:
 
     def _digits(self, name: str, number: int, text: str) -> int:
         """Return the number that a label is, or ends with; DataError without one."""
-        found = label_of(text)
+        found = parse_label(text)
         if found is None:
             raise DataError(
                 f"{self._path}, row {number}: {name} must be a number"
@@ -746,7 +763,7 @@ class _Rows:
         """Return numbers as the plan has them; DataError where they can be read in two ways."""
         planned = self._known.get(name, Known()).numbers
         use, firsts = self._layout.uses.get(name), self._settings.counted_from or "01"
-        if use and columns_of(Heading.of(use.text)) == ("ball_step",):
+        if use and heading_columns(Heading.of(use.text)) == ("ball_step",):
             firsts = firsts.replace("1", "")  # a step is no number of a ball
         found, from_one = as_planned(str(self._path), name, numbers, planned, firsts)
         self._remarks += [phrase("{0} counts from 1", name)] if from_one else []
@@ -790,7 +807,7 @@ def _is_whole_by_names(
     """Return whether all columns are there, once an answer takes the names of points apart."""
     pattern = asked.question.answers[0][0] if asked.question else ""
     try:
-        layout = best_layout([with_names_apart(s, pattern) for s in raw], headers, named, "")
+        layout = find_best_layout([split_point_names(s, pattern) for s in raw], headers, named, "")
     except DataError:  # another question comes first
         return True
     return layout is not None and not layout.missing
@@ -798,7 +815,7 @@ def _is_whole_by_names(
 
 def _as_read(cell: Cell | None, mark: str) -> str:
     """Return what a cell is where ``mark`` is the decimal mark."""
-    measure = None if cell is None else parse(cell, mark, ANGLE)
+    measure = None if cell is None else parse_measure(cell, mark, ANGLE)
     return f"{measure.value}" if measure else "no number"
 
 
@@ -833,16 +850,16 @@ def _named_by(cells: Sequence[Cell]) -> set[str]:
     texts = [cell for cell in cells if cell != ""]
     if len(texts) < 2 or any(map(is_number, texts)):
         return set()
-    named = [columns_of(Heading.of(text_of(cell))) for cell in texts]
+    named = [heading_columns(Heading.of(cell_text(cell))) for cell in texts]
     return set().union(*named) if all(named) else set()
 
 
 def _is_nest(row: Mapping[str, tuple[Cell, Use]]) -> bool:
-    return "kind" in row and kind_of(text_of(row["kind"][0])) == "nest"
+    return "kind" in row and point_kind(cell_text(row["kind"][0])) == "nest"
 
 
 def _is_nothing(cell: Cell) -> bool:
-    return isinstance(cell, str) and is_nothing(cell)
+    return isinstance(cell, str) and is_blank_word(cell)
 
 
 def _si(quantity: str) -> str:

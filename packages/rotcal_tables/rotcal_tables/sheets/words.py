@@ -80,13 +80,13 @@ class Heading:
 
 
 @lru_cache(4096)
-def columns_of(head: Heading) -> tuple[str, ...]:
+def heading_columns(head: Heading) -> tuple[str, ...]:
     """Return the columns that a heading may be the name of; none if it is no name of any.
 
     A nominal length or place is none: it was not measured. A position in degrees is an angle, of
     the table where it was commanded, ACTUAL where it was measured.
 
-    >>> [columns_of(Heading.of(text)) for text in ("Tgt_pos [deg]", "Istwert [°]", "Ist - Soll")]
+    >>> [heading_columns(Heading.of(t)) for t in ("Tgt_pos [deg]", "Istwert [°]", "Ist - Soll")]
     [('angle',), ('actual',), ('deviation',)]
     """
     parts = _apart(head.name)
@@ -156,10 +156,10 @@ def _compound(part: str) -> Sequence[str]:
     return (part,)
 
 
-def answer(column: str, text: str) -> str:
+def column_option(column: str, text: str) -> str:
     """Return the setting by which a person says that a heading means a column.
 
-    >>> print(answer("length", "Weg [mm]"))
+    >>> print(column_option("length", "Weg [mm]"))
     --set 'sheet.columns=["length=Weg [mm]"]'
     """
     return option("sheet.columns", meaning(column, text))
@@ -179,46 +179,46 @@ def units_of(text: str) -> tuple[str, ...]:
     return _units().get(_unit(text), ())
 
 
-def label_of(text: str) -> tuple[str, int] | None:
+def parse_label(text: str) -> tuple[str, int] | None:
     """Return word and number of a label, whose word may be empty; None for a text that is none.
 
-    >>> label_of("SMR-07"), label_of("#3"), label_of("12.0"), label_of("-5")
+    >>> parse_label("SMR-07"), parse_label("#3"), parse_label("12.0"), parse_label("-5")
     (('SMR', 7), ('', 3), ('', 12), None)
     """
     found = _LABEL.fullmatch(plain(text))
     return (found[1] or "", int(found[2])) if found else None
 
 
-def of_quantity(units: Sequence[str], quantity: str) -> tuple[str, ...]:
+def units_of_quantity(units: Sequence[str], quantity: str) -> tuple[str, ...]:
     """Return those of the units that measure a quantity, as sec of angles; all where none does."""
     return tuple(unit for unit in units if quantity_of(unit) == quantity) or tuple(units)
 
 
-def is_summary(text: str) -> bool:
+def is_summary_word(text: str) -> bool:
     """Return whether a text begins a line about other lines, as Mean or Mittelwert do."""
     return folded(text) in _summaries()
 
 
-def is_nothing(text: str) -> bool:
+def is_blank_word(text: str) -> bool:
     """Return whether a text stands where nothing was measured."""
     return text.strip().lower() in _nothing()
 
 
-def kind_of(text: str) -> str:
+def point_kind(text: str) -> str:
     """Return the kind of a tracker's point in our word, or the text as it stands."""
     return _kinds().get(folded(text), text)
 
 
-def is_down(text: str) -> bool | None:
+def is_descending(text: str) -> bool | None:
     """Return whether a direction is that of shrinking angles; None for a text that says neither.
 
-    >>> is_down("Rück"), is_down("+"), is_down("left")
+    >>> is_descending("Rück"), is_descending("+"), is_descending("left")
     (True, False, None)
     """
     return _directions().get(_way(text))
 
 
-def is_direction(text: str) -> bool:
+def is_direction_word(text: str) -> bool:
     """Return whether a text says a direction, perhaps one of either sign, as clockwise."""
     return _way(text) in _directions()
 

@@ -253,7 +253,7 @@ def _found(layout: PlateLayout) -> tuple[Adjusted, float | None]:
 def _improbability(found: Adjusted) -> float:
     """Return twice -ln of the probability, whatever the noise was taken for beforehand."""
     first = found.model.std[found.diagnosis.used]
-    return found.diagnosis.improbability + 2.0 * float(np.log(first / MICROMETRE).sum())
+    return found.diagnosis.bic + 2.0 * float(np.log(first / MICROMETRE).sum())
 
 
 def _without_dirty_position(
@@ -326,8 +326,8 @@ def _axes(layout: PlateLayout, found: Adjusted) -> tuple[float, float]:
         return np.asarray(((back @ white.reshape(len(used), 3, -1)[used]) ** 2).sum(axis=0))
 
     signs = np.random.default_rng(0).choice((-1.0, 1.0), (len(used), 1, SIGNS))
-    matrix = np.stack([along(fit.left_of((rows.frame[:, :, k : k + 1] * signs).reshape(-1, SIGNS)))
-                       .mean(axis=1) for k in range(2)])  # fmt: skip
+    trials = ((rows.frame[:, :, k : k + 1] * signs).reshape(-1, SIGNS) for k in range(2))
+    matrix = np.stack([along(fit.residuals_of(white)).mean(axis=1) for white in trials])
     dof = float(matrix.trace() - matrix[0, 1] - matrix[1, 0]) / 2.0
     if dof < 1.0:
         return 1.0, 1.0

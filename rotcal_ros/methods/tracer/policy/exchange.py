@@ -91,9 +91,9 @@ class LengthSelection:
     ) -> None:
         self.scene, self.pool, self.segments, self.demands = scene, pool, segments, demands
         self.chosen = np.array(chosen, dtype=np.int64)
-        self.renew()
+        self.recompute()
 
-    def renew(self) -> None:
+    def recompute(self) -> None:
         """Work all out anew from the chosen lengths."""
         known = Information(self.scene, self.pool[self.chosen], self.segments)
         beams = known.beams(self.pool)
@@ -293,7 +293,7 @@ class _ExchangeSearch:
     def _met(self) -> bool:
         """Whether all demands are met, without the rounding that exchanges gather."""
         if self.choice.penalty < NEARLY or self.exchanges % RENEWED == RENEWED - 1:
-            self.choice.renew()
+            self.choice.recompute()
         return self.choice.penalty < ENOUGH
 
     def _remove(self, number: int) -> None:

@@ -160,11 +160,11 @@ class MeasuredLengths:
         return np.array([number[self._beam(o)] for o in self.observations], dtype=np.int64)
 
     @property
-    def segment_now(self) -> int:
+    def current_segment(self) -> int:
         """The place among ``beams`` of the one that further lengths will be read from."""
         return self.beams.index(self._latest or (0, 0))
 
-    def of_one_zero(self, a: Observation, b: Observation) -> bool:
+    def share_zero(self, a: Observation, b: Observation) -> bool:
         """Return whether both count from the same zero, being of one step."""
         return not self.per_segment or self._beam(a) == self._beam(b)
 
@@ -184,7 +184,7 @@ class Costs:
     turn_s: float
 
     @property
-    def dearest_s(self) -> float:
+    def longest_step_s(self) -> float:
         """A step for which the table has to turn."""
         return self.step_s + self.turn_s
 
@@ -242,7 +242,7 @@ class LengthExperiment:
     def lengths(self, steps: Collection[int] | Ints, measured: MeasuredLengths) -> Lengths:
         """Return the lengths of ``steps`` as they would be read now."""
         rows = np.fromiter(steps, dtype=np.int64, count=len(steps))
-        zero = measured.segment_now if self.per_segment else self.position[rows]
+        zero = measured.current_segment if self.per_segment else self.position[rows]
         return Lengths.of(self.position[rows], self.target[rows], zero)
 
     def planned(
@@ -256,7 +256,7 @@ class LengthExperiment:
         Without slips of a fringe. Infinite while the solver could not solve them.
         """
         known = self.information(measured, noise, further)
-        if self.lacking(known.lengths).any():
+        if self.stations_lacking_lengths(known.lengths).any():
             return np.inf
         return COVERAGE_FACTOR * known.rms_std
 
@@ -291,14 +291,14 @@ class LengthExperiment:
         )  # fmt: skip
         return replace(problem, order=order, variant=self.solver.variant)
 
-    def felt(self, error_motion: float) -> float:
+    def error_motion_uncertainty(self, error_motion: float) -> float:
         """Return the expanded uncertainty (rad, rms) that an error motion (m, k = 1) makes."""
         angles = replace(self.scene, error_motion_std=error_motion).error_motion_angles
         return COVERAGE_FACTOR * float(np.sqrt(np.trace(angles) / len(angles)))
 
     def solvable(self, measured: MeasuredLengths, further: Collection[int] = ()) -> bool:
         """Whether every station has enough lengths, those of ``further`` steps included."""
-        return not self.lacking(self._known(measured, further)).any()
+        return not self.stations_lacking_lengths(self._known(measured, further)).any()
 
     def noise(self, measured: MeasuredLengths, length_std: float | None) -> float:
         """Return a noise of the ``measured`` lengths (rms, m) in units of the planned one."""
@@ -324,7 +324,7 @@ class LengthExperiment:
         position = lengths.position[shared | (not self.per_segment)]
         return np.bincount(position, minlength=self.stations)
 
-    def lacking(self, lengths: Lengths) -> Bools:
+    def stations_lacking_lengths(self, lengths: Lengths) -> Bools:
         """Return which stations (m,) have fewer ``lengths`` than it takes."""
         return np.asarray(self._telling(lengths) < self.minimum)
 

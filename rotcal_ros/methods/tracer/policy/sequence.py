@@ -99,7 +99,7 @@ class SequenceForecast:
 
     def __call__(self, order: Ints) -> Forecast:
         """Return the forecast for ``order`` (k,): rows of the problem as they are measured."""
-        hides = self._known.hides(ranks(order))
+        hides = self._known.undetected_by_order(ranks(order))
         drift, knock = (_unseen(hides[effect]) for effect in ("drift", "knock"))
         return Forecast(drift=drift, knock=knock)
 

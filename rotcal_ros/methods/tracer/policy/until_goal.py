@@ -181,7 +181,7 @@ class UntilGoal:
             why = join_texts([self._stop, closed], "") if closed else self._stop
             return StepChoice(None, why, NOWHERE)
         step, reason = self._queue[0]
-        if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
+        if step not in self._measured and self._beams.clear_probability[step] < POOR_CHANCE:
             step, reason = self._queue[0] = self._better_than(step, reason)
         return StepChoice(step, reason, NOWHERE)
 
@@ -254,7 +254,9 @@ class UntilGoal:
         if (stop := self._beyond_reach()) is not None:
             return stop
         wish = StepRequirement(self._allowance.planned(goal), self.noise_factor)
-        more = choose_steps(of, self._measured, self._beams.allowed, self._beams.chance, wish)
+        more = choose_steps(
+            of, self._measured, self._beams.allowed, self._beams.clear_probability, wish
+        )
         if not more:
             lacking = of.describe_lacking(self._measured)
             worse = lacking or phrase(
@@ -282,7 +284,7 @@ class UntilGoal:
     def _allow_for(self, result: StatedResult) -> None:
         """Plan from now on for what the solver states, which is more than what was planned."""
         planned = self._experiment.planned(self._measured, self.noise_factor)
-        floor = self._experiment.felt(result.error_motion)
+        floor = self._experiment.error_motion_uncertainty(result.error_motion)
         if math.isfinite(result.uncertainty) and floor < self._goal:
             self._allowance = Allowance.of(result.uncertainty, planned, floor)
         elif math.isfinite(result.uncertainty) and self._hopeless:
@@ -336,7 +338,7 @@ class UntilGoal:
 
     def _better_than(self, step: int, reason: Phrase) -> tuple[int, Phrase]:
         """Return a step at the same station with a better chance, or ``step`` itself."""
-        found, chance = self._instead(step), self._beams.chance
+        found, chance = self._instead(step), self._beams.clear_probability
         if found is None or chance[found] <= chance[step]:
             return step, reason
         return found, phrase(
@@ -353,8 +355,8 @@ class UntilGoal:
         place = int(self._experiment.position[step])
         beams = self._beams
         return best_at(
-            self._experiment, place, self._measured, queued, beams.allowed, beams.chance,
-            self.noise_factor,
+            self._experiment, place, self._measured, queued, beams.allowed,
+            beams.clear_probability, self.noise_factor,
         )  # fmt: skip
 
 
@@ -388,7 +390,7 @@ class Closing:
         if not math.isnan(self._changes.get(step, 0.0)):
             return
         before = measured.last_of(step)
-        if before is None or not measured.of_one_zero(before, observation):
+        if before is None or not measured.share_zero(before, observation):
             self._changes[step] = math.inf
         else:
             self._changes[step] = observation.mean[0] - before.mean[0]
@@ -512,7 +514,7 @@ class FreeBeams:
         self.allowed[number] = False
 
     @property
-    def chance(self) -> Floats:
+    def clear_probability(self) -> Floats:
         """How probably each beam (k,) is free: less near a blocked one, more near free ones."""
         if not (self._from_blocked < np.pi).any():
             return np.ones(len(self._from_blocked))
@@ -600,7 +602,7 @@ def choose_steps(
     batch = 0
     while len(shortlist) and (sweep or len(chosen) < MOST_AT_ONCE):
         missing = wish.excess(known)
-        lacking = of.lacking(known.lengths)
+        lacking = of.stations_lacking_lengths(known.lengths)
         if missing <= 0.0 and not lacking.any():
             break
         batch = 1 if sweep else _batch(of, known, missing, batch)  # at first there is time
@@ -609,7 +611,7 @@ def choose_steps(
         if lacking.any():
             value = value * lacking[offered.position]
             batch = len(visited)
-        elif not (value > LEAST_GAIN * known.mean_variance / of.costs.dearest_s).any():
+        elif not (value > LEAST_GAIN * known.mean_variance / of.costs.longest_step_s).any():
             break
         best = _spread_out(of, shortlist, value, batch)
         if not best:

@@ -42,7 +42,7 @@ class Prediction:
         found[row] = self.fit.redundancy[: len(row)]
         return found
 
-    def hides(self, order: Ints) -> dict[Effect, LargestUndetected]:
+    def undetected_by_order(self, order: Ints) -> dict[Effect, LargestUndetected]:
         """Return what of drift and knock stays unseen where rows (k,) are measured in ``order``.
 
         ``order``: when each row of the problem is measured.

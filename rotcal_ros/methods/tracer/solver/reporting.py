@@ -50,7 +50,7 @@ def expand_to_all_rows(
         result,
         n_observations=count,
         rejected=tuple(Rejection(*each) for each in sorted(gone.items())),
-        raw_data=result.raw_data.renumbered(dict(enumerate(row.tolist()))),
+        raw_data=result.raw_data.with_row_numbers(dict(enumerate(row.tolist()))),
         residuals=replace(
             found,
             table_position=problem.position,

@@ -383,7 +383,7 @@ def _turned(
             scatter_beside_low_orders(runs, lengths.angles, first.fit.residual[rows]), ROUND
         )
         model = posed.model(replace(supposed, other=(other, other)))
-        first = replace(first, model=model, start=first.fit.x).as_likely
+        first = replace(first, model=model, start=first.fit.x).with_likely_scatter
     return in_time(first, lengths, posed.problem.earlier[lengths.row], limits)
 
 

@@ -250,7 +250,7 @@ def _joins(solution: TracerSolution) -> list[dict[str, Any]]:
         variance = float(fit.kernel.times(unit)[begin + k, 0])
         again = (lengths.later == k) & (problem.earlier[lengths.row] > 0)
         rows = np.flatnonzero(again & used)
-        values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.among(rows))
+        values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.hat_block(rows))
         seen = values > 1e-6
         squares = float(((ways.T @ fit.white[rows])[seen] ** 2 / values[seen]).sum())
         dof = int(seen.sum())

@@ -64,7 +64,7 @@ def test_changes_gather_no_error_worth_mentioning():
     assert changed[1] == pytest.approx(
         Information(scene, pairs[plan.chosen], 11).variances(), rel=1e-6
     )
-    plan.renew()
+    plan.recompute()
     assert plan.penalty == pytest.approx(anew, rel=1e-9)
 
 

@@ -14,7 +14,7 @@ def beams(*degrees):
 def test_where_nothing_was_blocked_every_beam_is_free():
     found = beams(0.0, 10.0)
     found.note_free(0)
-    assert found.chance.tolist() == [1.0, 1.0]
+    assert found.clear_probability.tolist() == [1.0, 1.0]
 
 
 def test_fifteen_degrees_from_a_blocked_beam_it_is_as_likely_blocked_as_free():
@@ -23,7 +23,7 @@ def test_fifteen_degrees_from_a_blocked_beam_it_is_as_likely_blocked_as_free():
     assert found.allowed.tolist() == [False, True, True, True]
     # A normal curve of the angle: 1/2 at 15 degrees, so (1/2)**4 at twice as much.
     expected = [0.0, 0.5, 1.0 - 0.5**4, 1.0]
-    assert found.chance == pytest.approx(expected, abs=1e-6)
+    assert found.clear_probability == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_free_beam_nearer_than_the_blocked_one_makes_another_likely():
@@ -31,5 +31,5 @@ def test_a_free_beam_nearer_than_the_blocked_one_makes_another_likely():
     found.note_blocked(0)
     found.note_free(2)
     # 5 degrees to the free one against 15 to the blocked one: a third of the doubt.
-    assert found.chance[1] == pytest.approx(1.0 - 0.5 / 3.0)
-    assert found.chance[2] == 1.0
+    assert found.clear_probability[1] == pytest.approx(1.0 - 0.5 / 3.0)
+    assert found.clear_probability[2] == 1.0
