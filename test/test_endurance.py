@@ -18,8 +18,13 @@ def wrong():
 SOUND = {
     "trouble": "none", "code": 0, "error": [], "resume_error": [], "verdict": "ok",
     "reasons": [], "difference": 1.2, "left_behind": 0, "in_history": True,
+    "feed_code": 0,
 }  # fmt: skip
-REFUSED = {"trouble": "kill", "code": 2, "verdict": None, "error": ["rotcal: no node planner"]}
+NOT_FED = {"feed_code": 3}
+REFUSED = {
+    "trouble": "kill", "code": 2, "verdict": None, "error": ["rotcal: no node planner"], **NOT_FED,
+}  # fmt: skip
+SUSPECT = {"verdict": "suspect", **NOT_FED}
 
 
 @pytest.mark.parametrize(
@@ -27,15 +32,20 @@ REFUSED = {"trouble": "kill", "code": 2, "verdict": None, "error": ["rotcal: no 
     [
         ({}, ""),
         (REFUSED, ""),
-        ({"trouble": "stops", "verdict": "suspect", "code": 1, "reasons": ["lost"]}, ""),
+        (SUSPECT | {"trouble": "stops", "code": 1, "reasons": ["lost"]}, ""),
         ({"code": -1}, "it did not end"),
         (REFUSED | {"error": ["KeyError: 'x'"]}, "an error of the program"),
         (REFUSED | {"error": []}, "it does not say why"),
-        ({"trouble": "clock", "verdict": "suspect"}, "suspect without a reason"),
-        ({"verdict": "suspect", "reasons": ["lost"]}, "a peaceful one is not ok"),
+        (SUSPECT | {"trouble": "clock"}, "suspect without a reason"),
+        (SUSPECT | {"reasons": ["lost"]}, "a peaceful one is not ok"),
         ({"difference": 5.5}, "ok and another result"),
         ({"left_behind": 1}, "processes are left behind"),
         ({"in_history": False}, "not in the history"),
+        (NOT_FED, "the feed and the verdict differ"),
+        (
+            SUSPECT | {"trouble": "stops", "reasons": ["lost"], "feed_code": 0},
+            "the feed and the verdict differ",
+        ),
     ],
 )
 def test_a_session_is_wrong_where_it_neither_ends_well_nor_says_why(wrong, change, says):

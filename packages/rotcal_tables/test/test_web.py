@@ -191,7 +191,7 @@ def test_of_an_upload_that_is_cut_off_nothing_stays(tmp_path):
         "type": "http", "method": "POST", "headers": [], "path": "/", "query_string": b"",
         "path_params": {"role": "table"},
     }  # fmt: skip
-    asyncio.run(UploadSession(tmp_path).take(Request(scope, receive)))
+    asyncio.run(UploadSession(tmp_path).receive_file(Request(scope, receive)))
     assert list(tmp_path.iterdir()) == []
 
 
